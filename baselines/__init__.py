@@ -1,0 +1,1 @@
+"""Reinforcement learning against evolution; see the extra `rl`."""

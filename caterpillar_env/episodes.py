@@ -1,0 +1,235 @@
+"""N robots in the reset/step protocol, as arrays: what the single and the vector environment share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from caterpillar_env.errors import MorphologyError, PhysicsError, SimulationError, TimingError
+from caterpillar_env.gait import GaitTimings, whole
+from caterpillar_env.model import CONTROL_INTERVAL_S, SMA_STEP_S, Physics, joint_names
+from caterpillar_env.morphology import Morphology
+from caterpillar_env.simulation import Array, Rows, Trace
+from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, observation_names, observe
+
+#: Bound of every entry of an observation; healthy robots stay around one.
+OBSERVATION_LIMIT = 1000.0
+#: Reset noise of 1 stands for 1 rad in the hinges and this much in the axial joints.
+_AXIAL_NOISE_M_RAD = 0.01
+
+
+class Step(NamedTuple):
+    """What a step gave, one entry per robot; `info` holds arrays by key."""
+
+    observation: NDArray[np.float32]
+    reward: Array
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    info: dict[str, NDArray[Any]]
+
+
+class Episodes:
+    """Episodes of N robots; arguments as documented for `CaterpillarEnv`.
+
+    Raises:
+        CaterpillarError: an argument is of the wrong kind or out of range.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        *,
+        action_mode: str,
+        symmetric: bool,
+        physics: Physics | dict[str, Any] | None,
+        gait_period_s: float,
+        frame_skip: int,
+        episode_s: float,
+        forward_reward_weight: float,
+        ctrl_cost_weight: float,
+        failure_cost: float,
+        reset_noise_scale: float,
+        terminate_on_failure: bool,
+        threads: int,
+    ) -> None:
+        if action_mode not in ("timing", "switch"):
+            raise SimulationError(f'action_mode must be "timing" or "switch"; got {action_mode!r}')
+        if not isinstance(frame_skip, int) or frame_skip < 1:
+            raise SimulationError(
+                f"frame_skip must be a whole number of control intervals, 1 or more; got {frame_skip!r}"
+            )
+        for name, value in (
+            ("forward_reward_weight", forward_reward_weight),
+            ("ctrl_cost_weight", ctrl_cost_weight),
+            ("failure_cost", failure_cost),
+            ("reset_noise_scale", reset_noise_scale),
+        ):
+            if not (np.isfinite(value) and value >= 0):
+                raise SimulationError(f"{name} must be finite and not negative; got {value!r}")
+        self.physics = Physics.of(physics)
+        self.action_mode = action_mode
+        self.symmetric = symmetric
+        self.gait_period_s = gait_period_s
+        self._period_intervals = whole(gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
+        self._episode_intervals = whole(episode_s, CONTROL_INTERVAL_S, "episode_s")
+        self._step_intervals = self._period_intervals if action_mode == "timing" else frame_skip
+        self._weights = (forward_reward_weight, ctrl_cost_weight, failure_cost)
+        self._noise = reset_noise_scale
+        self._terminate = terminate_on_failure
+        self._clock_s = gait_period_s if action_mode == "switch" else None
+        self.crawl = Crawl(num_envs, self.physics, threads, stop_on_failure=terminate_on_failure)
+        self._unit = np.zeros((num_envs, 8))
+        self._intervals = np.zeros(num_envs, dtype=np.int64)
+
+        springs = self.physics.num_springs
+        self.action_space: spaces.Box | spaces.MultiBinary
+        if action_mode == "timing":
+            size = springs if symmetric else 2 * springs
+            self.action_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
+        else:
+            self.action_space = spaces.MultiBinary(springs)
+        self.observation_names = observation_names(self.physics, clock=self._clock_s is not None)
+        self.observation_space = spaces.Box(
+            -OBSERVATION_LIMIT, OBSERVATION_LIMIT, (len(self.observation_names),), np.float32
+        )
+
+    @property
+    def step_s(self) -> float:
+        """Simulated length of one environment step, s."""
+        return self._step_intervals * CONTROL_INTERVAL_S
+
+    def reset(
+        self, rows: Rows, morphologies: Sequence[Morphology], generators: Sequence[np.random.Generator]
+    ) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
+        """Start new episodes in some rows, with a body and a source of noise for each."""
+        joints = joint_names(self.physics.num_segments)
+        scale = np.array([_AXIAL_NOISE_M_RAD if n.startswith("axial") else 1.0 for n in joints])
+        drawn = np.array([g.uniform(-1.0, 1.0, len(joints)) for g in generators])
+        self.crawl.reset(morphologies, rows, offset=self._noise * drawn * scale)
+        self._unit[rows] = [2.0 * m.to_unit() - 1.0 for m in morphologies]
+        self._intervals[rows] = 0
+        return self._observe(rows), self._info(rows, np.zeros(len(rows)), np.zeros(len(rows)), 0.0)
+
+    def step(
+        self,
+        actions: Any,
+        rows: Rows,
+        on_interval: Callable[[Trace | None], None] | None = None,
+    ) -> Step:
+        """Advance some rows by one environment step; a robot that fails stops within it."""
+        power = self._power(actions, rows)
+        before = self.crawl.progress(rows)
+        self.crawl.run(power, rows, on_interval, trace=on_interval is not None)
+        self._intervals[rows] += power.shape[1] // STEPS_PER_INTERVAL
+        after = self.crawl.progress(rows)
+
+        forward_weight, ctrl_weight, failure_cost = self._weights
+        ok = np.isfinite(after.distance_m)
+        moved = np.where(ok, after.distance_m - np.where(ok, before.distance_m, 0.0), 0.0)
+        new_failure = (after.failure != Failure.NONE) & (before.failure == Failure.NONE)
+        forward = forward_weight * moved
+        ctrl = -ctrl_weight * (after.energy_j - before.energy_j)
+        failed = after.failure != Failure.NONE if self._terminate else after.failure == Failure.DIVERGED
+        info = self._info(rows, forward, ctrl, after.time_s - before.time_s, before=before)
+        info["reward_failure"] = -failure_cost * new_failure
+        return Step(
+            observation=self._observe(rows),
+            reward=forward + ctrl + info["reward_failure"],
+            terminated=failed,
+            truncated=~failed & (self._intervals[rows] >= self._episode_intervals),
+            info=info,
+        )
+
+    def _power(self, actions: Any, rows: Rows) -> Array:
+        """Share of the drive power, (R, steps, springs), for the coming environment step."""
+        try:
+            array = np.asarray(actions, dtype=np.float64)
+        except (TypeError, ValueError):
+            array = np.empty(0)
+        expected = (len(rows), *self.action_space.shape)
+        if array.shape != expected:
+            raise TimingError(
+                f"actions must be numbers of shape {expected[1:]} (one row per robot: {expected}); "
+                f"got shape {array.shape}"
+            )
+        if not np.isfinite(array).all():
+            raise TimingError(f"actions must be finite; got {actions!r}")
+        left = int((self._episode_intervals - self._intervals[rows]).max())
+        intervals = min(self._step_intervals, max(left, 1))
+        steps = intervals * STEPS_PER_INTERVAL
+        if self.action_mode == "switch":
+            if not np.isin(array, (0, 1)).all():
+                raise TimingError(f"switch actions must be 0 (off) or 1 (on); got {actions!r}")
+            return np.repeat(array[:, None, :], steps, axis=1)
+        timings = GaitTimings.from_action(np.clip(array, -1.0, 1.0), self.gait_period_s)
+        if self.symmetric:
+            timings = timings.mirrored()
+        return timings.power(SMA_STEP_S)[:, :steps]
+
+    def _observe(self, rows: Rows) -> NDArray[np.float32]:
+        seen = observe(self.crawl, rows, self._unit[rows], self._clock_s)
+        # Only a diverging robot comes near the limit, or is seen as NaN.
+        return np.clip(np.nan_to_num(seen), -OBSERVATION_LIMIT, OBSERVATION_LIMIT)
+
+    def _info(
+        self, rows: Rows, forward: Array, ctrl: Array, elapsed_s: Any, before: Any = None
+    ) -> dict[str, NDArray[Any]]:
+        now = self.crawl.progress(rows)
+        position = self.crawl.simulation.state(rows).com_m
+        elapsed = np.maximum(elapsed_s, CONTROL_INTERVAL_S)
+        x_moved = now.distance_m - before.distance_m if before is not None else np.zeros(len(rows))
+        y_moved = now.lateral_m - before.lateral_m if before is not None else np.zeros(len(rows))
+        return {
+            "x_position": position[:, 0],
+            "y_position": position[:, 1],
+            "distance": now.distance_m,
+            "distance_from_origin": np.hypot(now.distance_m, now.lateral_m),
+            "x_velocity": x_moved / elapsed,
+            "y_velocity": y_moved / elapsed,
+            "reward_forward": forward,
+            "reward_ctrl": ctrl,
+            "energy_j": now.energy_j,
+            "time_s": now.time_s,
+            "failure": np.array([Failure(f).label for f in now.failure], dtype=object),
+        }
+
+
+def morphologies_for(value: Any, num_envs: int) -> list[Morphology]:
+    """One body for each of `num_envs` robots from one for all, a sequence of them, or an (N, 8) array.
+
+    Raises:
+        MorphologyError: neither, or not as many as robots.
+    """
+    if isinstance(value, (Morphology, Mapping)):
+        return [Morphology.of(value)] * num_envs
+    if isinstance(value, np.ndarray) or not isinstance(value, Sequence):
+        array = np.asarray(value)
+        if array.ndim == 1:
+            return [Morphology.of(array)] * num_envs
+        value = list(array) if array.ndim == 2 else []
+    elif value and all(isinstance(v, (int, float)) for v in value):
+        return [Morphology.of(value)] * num_envs
+    if len(value) != num_envs:
+        raise MorphologyError(
+            f"give one morphology for all, or {num_envs} of them (a list, or an array of shape "
+            f"({num_envs}, 8)); got {len(value)}"
+        )
+    return [Morphology.of(v) for v in value]
+
+
+def check_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) -> dict[str, Any]:
+    """The reset options as a new dict.
+
+    Raises:
+        PhysicsError: not a mapping, or a key that is not in `known`.
+    """
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping) or not set(options) <= set(known):
+        got = sorted(map(str, set(options) - set(known))) if isinstance(options, Mapping) else options
+        raise PhysicsError(f"reset options are {', '.join(known)}; got {got}")
+    return dict(options)

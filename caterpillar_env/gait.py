@@ -1,0 +1,123 @@
+"""Gaits: a periodic pattern of on and off times of the power to each spring (Saunders 2009, III).
+
+Springs are numbered gap by gap from the head, four to a gap: dorsal left, dorsal right, ventral left,
+ventral right. A *pair* is the left and the right spring at one height: pair 2g is the dorsal one of gap
+g, pair 2g + 1 the ventral one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from caterpillar_env.errors import TimingError
+
+Array = NDArray[np.float64]
+
+SPRINGS_PER_GAP = 4
+PAIRS_PER_GAP = 2
+
+
+def spring_names(num_segments: int) -> list[str]:
+    """Names of the springs in their order, e.g. `gap1_dorsal_left`; gap 1 is behind the head."""
+    return [f"{pair}_{side}" for pair in pair_names(num_segments) for side in ("left", "right")]
+
+
+def pair_names(num_segments: int) -> list[str]:
+    """Names of the mirrored pairs in their order, e.g. `gap1_dorsal`."""
+    return [f"gap{g + 1}_{height}" for g in range(num_segments - 1) for height in ("dorsal", "ventral")]
+
+
+def mirror(pairs: Array) -> Array:
+    """Values of the springs from those of the pairs, along the last axis: (..., P) to (..., 2 P)."""
+    return np.repeat(pairs, SPRINGS_PER_GAP // PAIRS_PER_GAP, axis=-1)
+
+
+@dataclass(frozen=True)
+class GaitTimings:
+    """On and off times of any number of springs in one shared period.
+
+    A spring is powered from `on_s` to `off_s`, round the end of the period when `off_s` < `on_s`, and
+    never when both are equal.
+
+    Args:
+        period_s: gait period, s.
+        on_s: times of switching on, in [0, period_s], shape (..., springs).
+        off_s: times of switching off, likewise.
+
+    Raises:
+        TimingError: shapes differ, or a time is not finite or outside [0, period_s].
+    """
+
+    period_s: float
+    on_s: Array
+    off_s: Array
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.period_s) and self.period_s > 0):
+            raise TimingError(f"period_s = {self.period_s!r} must be a positive number of seconds")
+        for name in ("on_s", "off_s"):
+            times = np.array(getattr(self, name), dtype=np.float64)
+            if not np.all((times >= 0) & (times <= self.period_s)):
+                raise TimingError(
+                    f"{name} must lie in [0, {self.period_s:g}] s (the gait period); got {times}"
+                )
+            times.flags.writeable = False
+            object.__setattr__(self, name, times)
+        if self.on_s.shape != self.off_s.shape:
+            raise TimingError(
+                f"on_s and off_s must have one shape; got {self.on_s.shape} and {self.off_s.shape}"
+            )
+
+    @classmethod
+    def from_action(cls, action: NDArray[Any], period_s: float) -> GaitTimings:
+        """Timings from actions in [-1, 1], shape (..., 2 n): on and off of each of n springs in turn.
+
+        -1 is the start of the period and 1 its end.
+        """
+        times = np.clip((np.asarray(action, dtype=np.float64) + 1.0) * 0.5 * period_s, 0.0, period_s)
+        return cls(period_s, times[..., 0::2], times[..., 1::2])
+
+    def to_action(self) -> NDArray[np.float32]:
+        """The action that stands for these timings, shape (..., 2 n), float32: see `from_action`."""
+        times = np.stack([self.on_s, self.off_s], axis=-1).reshape(*self.on_s.shape[:-1], -1)
+        return (2.0 * times / self.period_s - 1.0).astype(np.float32)
+
+    def mirrored(self) -> GaitTimings:
+        """Timings of the springs, when these are those of the pairs."""
+        return GaitTimings(self.period_s, mirror(self.on_s), mirror(self.off_s))
+
+    def power(self, step_s: float) -> Array:
+        """Share of each step in which the power is on, over one period.
+
+        Args:
+            step_s: length of a step, s; a whole number of steps must make up the period.
+
+        Returns:
+            Values in [0, 1], shape (..., steps, springs).
+
+        Raises:
+            TimingError: the period is not a whole number of steps.
+        """
+        steps = whole(self.period_s, step_s, "the gait period")
+        edges = np.linspace(0.0, self.period_s, steps + 1)[:, None]
+        on, off = self.on_s[..., None, :], self.off_s[..., None, :]
+        # Time spent between on and off, or (wrapped) off and on, from the start of the period.
+        inside = np.clip(edges, np.minimum(on, off), np.maximum(on, off))
+        powered = np.where(off >= on, inside, edges - inside)
+        return np.clip(np.diff(powered, axis=-2) / (self.period_s / steps), 0.0, 1.0)
+
+
+def whole(duration_s: float, step_s: float, what: str) -> int:
+    """How many steps make up a duration.
+
+    Raises:
+        TimingError: not a whole number of steps, or none; `what` names the duration.
+    """
+    count = round(duration_s / step_s)
+    if count < 1 or abs(count * step_s - duration_s) > 1e-9 * max(1.0, duration_s):
+        raise TimingError(f"{what} of {duration_s:g} s must be a whole multiple of {step_s:g} s")
+    return count

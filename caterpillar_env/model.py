@@ -1,0 +1,336 @@
+"""The robot as a MuJoCo model: a row of rigid elements, joints between them, springs along them.
+
+World axes: x forward, y to the left, z up. Segment 0 is the head. Each segment is a legged element and,
+behind it, a plain one, joined by a prismatic and a revolute joint; between segments there is a pitch
+hinge with a viscoelastic moment (Saunders 2009, section III and fig. 7).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Literal, TypeVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from caterpillar_env.errors import PhysicsError
+from caterpillar_env.gait import SPRINGS_PER_GAP, spring_names, whole
+from caterpillar_env.morphology import Morphology
+from caterpillar_env.sma import SmaSpring
+
+T = TypeVar("T")
+
+FOOT_RADIUS_M = 0.002
+ELEMENTS_PER_SEGMENT = 2
+#: Thermal step: the grid on which springs are heated and the fraction handed to the actuators.
+SMA_STEP_S = 0.01
+#: Control interval: how often failures are judged and, in switch mode, the power may change.
+CONTROL_INTERVAL_S = 0.1
+
+_INTEGRATORS = {
+    "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+}
+_SOLVERS = {"cg": mujoco.mjtSolver.mjSOL_CG, "newton": mujoco.mjtSolver.mjSOL_NEWTON}
+_CONES = {
+    "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
+    "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
+}
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Everything about the robot and its simulation that is not evolved. SI units.
+
+    Sources, plausible ranges and what was tried: docs/physics.md and docs/sources.md.
+
+    Raises:
+        PhysicsError: a value is of the wrong kind or out of range.
+    """
+
+    num_segments: int = 4
+    spring: SmaSpring = field(default_factory=SmaSpring)
+    neck_stiffness_n_m_rad: float = 6e-3  # silicone neck, Dragon Skin 10
+    neck_damping_n_m_s_rad: float = 2e-4  # silicone, coil friction, anchors: see docs/physics.md
+    axial_stiffness_n_m: float = 500.0
+    axial_damping_n_s_m: float = 1.0
+    axial_range: float = 0.15  # travel of the prismatic joint as a share of the segment length
+    bend_ratio: float = 2.0  # stiffness and damping of the intra-segment hinge over the neck's
+    bend_axis: Literal["yaw", "pitch"] = "yaw"  # the paper does not say
+    friction: float = 0.8
+    mismatch_std: float = 0.05  # spread of the springs' strength from one to another
+    mismatch_seed: int = 0  # which robot of that spread
+    timestep_s: float = 0.005
+    integrator: Literal["discrete", "implicitfast"] = "discrete"
+    solver: Literal["cg", "newton"] = "cg"
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"
+    impratio: float = 10.0
+    contact_time_constant_s: float = 0.01
+    solver_tolerance: float = 1e-8
+    solver_iterations: int = 100
+
+    def __post_init__(self) -> None:
+        if isinstance(self.spring, dict):
+            object.__setattr__(self, "spring", _from_dict(SmaSpring, self.spring, "spring"))
+        if not isinstance(self.num_segments, int) or not 2 <= self.num_segments <= 64:
+            raise PhysicsError(
+                f"num_segments = {self.num_segments!r} must be a whole number from 2 to 64"
+            )
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if f.name in ("bend_axis", "integrator", "solver", "cone"):
+                known = {"bend_axis": ("yaw", "pitch"), "integrator": _INTEGRATORS}
+                choices = known.get(f.name, _SOLVERS if f.name == "solver" else _CONES)
+                if value not in choices:
+                    raise PhysicsError(f"{f.name} = {value!r} must be one of {', '.join(choices)}")
+            elif f.name != "spring" and not (
+                isinstance(value, (int, float)) and math.isfinite(value) and value >= 0
+            ):
+                raise PhysicsError(f"{f.name} = {value!r} must be a finite number, not negative")
+        for name in ("timestep_s", "impratio", "contact_time_constant_s", "solver_iterations"):
+            if getattr(self, name) <= 0:
+                raise PhysicsError(f"{name} = {getattr(self, name)!r} must be positive")
+        try:
+            whole(SMA_STEP_S, self.timestep_s, "the thermal step")
+        except ValueError as error:
+            raise PhysicsError(f"timestep_s = {self.timestep_s:g} does not fit: {error}") from None
+
+    @property
+    def num_springs(self) -> int:
+        """Number of SMA springs: four to a gap between neighbouring legged elements."""
+        return SPRINGS_PER_GAP * (self.num_segments - 1)
+
+    @classmethod
+    def of(cls, value: Physics | dict[str, Any] | None) -> Physics:
+        """Physics from itself, from a (partial) mapping of its fields, or the default for None.
+
+        Raises:
+            PhysicsError: an unknown field or an unusable value.
+        """
+        if isinstance(value, Physics):
+            return value
+        return _from_dict(cls, value or {}, "physics")
+
+    def to_dict(self) -> dict[str, Any]:
+        """All fields by name, the spring's nested: plain JSON."""
+        return asdict(self)
+
+    def strengths(self) -> NDArray[np.float64]:
+        """Factor on each spring's force, shape (num_springs,): the robot's actuator mismatch.
+
+        Normal about 1 with `mismatch_std`, drawn from `mismatch_seed`; never below a tenth. Mirrored
+        gaits of a perfect robot would never turn, and the paper's yaw criterion would be inert.
+        """
+        rng = np.random.default_rng(np.random.SeedSequence(self.mismatch_seed, spawn_key=(0x5A,)))
+        draw: NDArray[np.float64] = rng.standard_normal(self.num_springs)
+        return np.maximum(1.0 + self.mismatch_std * draw, 0.1)
+
+
+def _from_dict(kind: type[T], value: Any, what: str) -> T:
+    names = [f.name for f in fields(kind)]  # type: ignore[arg-type]
+    if not isinstance(value, dict) or not set(value) <= set(names):
+        got = ", ".join(map(str, set(value) - set(names))) if isinstance(value, dict) else repr(value)
+        raise PhysicsError(f"{what} takes a mapping with fields among {', '.join(names)}; got {got}")
+    return kind(**value)
+
+
+def joint_names(num_segments: int) -> list[str]:
+    """Internal joints from head to tail, in the order of MuJoCo's positions and velocities."""
+    names = []
+    for segment in range(num_segments):
+        names += [f"neck{segment - 1}"] if segment else []
+        names += [f"axial{segment}", f"bend{segment}"]
+    return names
+
+
+def build_model(
+    morphology: Morphology, physics: Physics, strengths: NDArray[np.float64]
+) -> mujoco.MjModel:
+    """Compile one robot on flat ground, its feet on the floor, straight along x, heading forwards.
+
+    Args:
+        morphology: the body.
+        physics: material, numerics and number of segments.
+        strengths: factor on each spring's force, shape (num_springs,).
+
+    Returns:
+        A model whose sizes depend on `physics.num_segments` alone. Bodies are `element0` (head) to
+        `element{2N-1}`; tendons and actuators carry `gait.spring_names`; control is xi in [0, 1].
+    """
+    m, p = morphology, physics
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    _set_options(spec, p)
+    _add_scenery(spec)
+
+    half_length = m.segment_length_m / ELEMENTS_PER_SEGMENT
+    parent = spec.worldbody
+    for index in range(p.num_segments * ELEMENTS_PER_SEGMENT):
+        # The centre of mass stands 2R above the ground (Saunders 2009, eq. 3 with eq. 4).
+        position = [0, 0, 2 * m.segment_radius_m] if index == 0 else [-half_length, 0, 0]
+        element = parent.add_body(name=f"element{index}", pos=position)
+        if index == 0:
+            element.add_freejoint(name="root")
+        elif index % ELEMENTS_PER_SEGMENT:
+            _add_intra_segment_joints(element, index // ELEMENTS_PER_SEGMENT, m, p)
+        else:
+            _add_neck(element, index // ELEMENTS_PER_SEGMENT, m, p)
+        _add_shell(element, index, m, p)
+        if index % ELEMENTS_PER_SEGMENT == 0:
+            _add_legs_and_anchors(element, index // ELEMENTS_PER_SEGMENT, m, p)
+        parent = element
+    _add_springs(spec, p, strengths)
+    body_length = p.num_segments * m.segment_length_m
+    # Beside the middle of the body, from far enough to have all of it in view.
+    spec.body("element0").add_camera(
+        name="track", mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM,
+        pos=[-body_length / 2 + half_length / 2, -1.7 * body_length, 0.75 * body_length],
+        xyaxes=[1, 0, 0, 0, 0.4, 0.92], fovy=40,
+    )  # fmt: skip
+    return spec.compile()
+
+
+def _set_options(spec: mujoco.MjSpec, p: Physics) -> None:
+    option = spec.option
+    option.timestep = p.timestep_s
+    option.integrator = _INTEGRATORS[p.integrator]
+    option.solver = _SOLVERS[p.solver]
+    option.cone = _CONES[p.cone]
+    option.impratio = p.impratio
+    option.tolerance = p.solver_tolerance
+    option.iterations = p.solver_iterations
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # 4.0.0's sparse Newton Hessian is wrong
+    # A robot that blows up must stay visible as such, not be put back to the start.
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+
+
+def _add_scenery(spec: mujoco.MjSpec) -> None:
+    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
+    spec.visual.headlight.diffuse = [0.4, 0.4, 0.4]
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1920, 1080
+    spec.visual.map.znear = 0.02
+    spec.visual.quality.shadowsize = 1024
+    spec.visual.quality.offsamples = 2
+    spec.visual.quality.numslices, spec.visual.quality.numstacks = 16, 10
+    spec.stat.extent, spec.stat.center = 0.3, [0, 0, 0.02]
+    spec.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=64, height=64,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, rgb1=[0.75, 0.83, 0.9], rgb2=[1, 1, 1],
+    )  # fmt: skip
+    spec.add_texture(
+        name="squares", type=mujoco.mjtTexture.mjTEXTURE_2D, width=128, height=128,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER, rgb1=[0.55, 0.58, 0.55], rgb2=[0.68, 0.71, 0.68],
+    )  # fmt: skip
+    material = spec.add_material(name="ground", texuniform=True, texrepeat=[50, 50])  # 1 cm squares
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "squares"
+    spec.worldbody.add_light(
+        pos=[0, -0.3, 1.0], dir=[0, 0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        castshadow=True, diffuse=[0.6, 0.6, 0.6],
+    )  # fmt: skip
+    spec.worldbody.add_geom(
+        name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], material="ground",
+        contype=1, conaffinity=0, condim=3,
+    )  # fmt: skip
+
+
+def _add_contact_sphere(
+    body: mujoco.MjsBody, name: str, radius: float, p: Physics, **kwargs: Any
+) -> None:
+    """A sphere that touches the ground and nothing else."""
+    body.add_geom(
+        name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], contype=0, conaffinity=1,
+        condim=3, friction=[p.friction, 0, 0], priority=1, solref=[p.contact_time_constant_s, 1],
+        **kwargs,
+    )  # fmt: skip
+
+
+def _add_shell(body: mujoco.MjsBody, index: int, m: Morphology, p: Physics) -> None:
+    shade = 1.0 if index % ELEMENTS_PER_SEGMENT == 0 else 0.8
+    colour = [0.95, 0.85, 0.3, 0.45] if index == 0 else [0.5 * shade, 0.8 * shade, 0.35 * shade, 0.45]
+    _add_contact_sphere(
+        body, f"shell{index}", m.segment_radius_m, p,
+        mass=m.segment_mass_kg / ELEMENTS_PER_SEGMENT, rgba=colour,
+    )  # fmt: skip
+
+
+def _add_intra_segment_joints(
+    body: mujoco.MjsBody, segment: int, m: Morphology, p: Physics
+) -> None:
+    middle = [m.segment_length_m / 4, 0, 0]
+    travel = p.axial_range * m.segment_length_m
+    # The body is moulded so that, cold, the springs' pre-tension just brings it to length L.
+    span = m.segment_length_m + 2 * m.attachment_x_m
+    pretension = p.spring.martensite_stiffness_n_m * (span - p.spring.martensite_rest_length_m)
+    springs = SPRINGS_PER_GAP if segment < p.num_segments - 1 else 0
+    stretch = springs * min(max(pretension, 0.0), p.spring.force_limit_n) / p.axial_stiffness_n_m
+    limit_solref = [p.contact_time_constant_s, 1]
+    body.add_joint(
+        name=f"axial{segment}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[-1, 0, 0], pos=middle,
+        stiffness=[p.axial_stiffness_n_m, 0, 0], damping=[p.axial_damping_n_s_m, 0, 0], springref=stretch,
+        limited=True, range=[-travel, travel], solref_limit=limit_solref,
+    )  # fmt: skip
+    body.add_joint(
+        name=f"bend{segment}", type=mujoco.mjtJoint.mjJNT_HINGE, pos=middle,
+        axis=[0, 0, 1] if p.bend_axis == "yaw" else [0, 1, 0],
+        stiffness=[p.bend_ratio * p.neck_stiffness_n_m_rad, 0, 0],
+        damping=[p.bend_ratio * p.neck_damping_n_m_s_rad, 0, 0],
+        limited=True, range=[-m.joint_limit_rad, m.joint_limit_rad], solref_limit=limit_solref,
+    )  # fmt: skip
+
+
+def _add_neck(body: mujoco.MjsBody, segment: int, m: Morphology, p: Physics) -> None:
+    body.add_joint(
+        name=f"neck{segment - 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0],
+        pos=[m.segment_length_m / 4, 0, 0],
+        stiffness=[p.neck_stiffness_n_m_rad, 0, 0], damping=[p.neck_damping_n_m_s_rad, 0, 0],
+        limited=True, range=[-m.joint_limit_rad, m.joint_limit_rad],
+        solref_limit=[p.contact_time_constant_s, 1],
+    )  # fmt: skip
+
+
+def _add_legs_and_anchors(body: mujoco.MjsBody, segment: int, m: Morphology, p: Physics) -> None:
+    for side, sign in (("left", 1), ("right", -1)):
+        lateral = sign * m.leg_separation_m / 2
+        foot = [0, lateral, FOOT_RADIUS_M - 2 * m.segment_radius_m]
+        _add_contact_sphere(
+            body, f"foot{segment}_{side}", FOOT_RADIUS_M, p, pos=foot, mass=0, rgba=[0.2, 0.2, 0.2, 1]
+        )
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, lateral * 0.6, 0, *foot],
+            size=[0.0012, 0, 0], mass=0, contype=0, conaffinity=0, rgba=[0.3, 0.35, 0.3, 1],
+        )  # fmt: skip
+        for height, up in (("dorsal", 1), ("ventral", -1)):
+            for end, outboard in (("front", 1), ("rear", -1)):
+                # The front anchor holds the spring to the segment behind, the rear one that ahead:
+                # x is measured away from the neighbour that the spring pulls on.
+                body.add_site(
+                    name=f"anchor{segment}_{end}_{height}_{side}", size=[0.0008, 0, 0],
+                    rgba=[0.2, 0.2, 0.2, 1],
+                    pos=[outboard * m.attachment_x_m, sign * m.attachment_z_m, up * m.attachment_y_m],
+                )  # fmt: skip
+
+
+def _add_springs(spec: mujoco.MjSpec, p: Physics, strengths: NDArray[np.float64]) -> None:
+    s = p.spring
+    cold, hot = s.martensite_stiffness_n_m, s.austenite_stiffness_n_m
+    for index, name in enumerate(spring_names(p.num_segments)):
+        gap = index // SPRINGS_PER_GAP
+        side = name.split("_", 1)[1]
+        tendon = spec.add_tendon(name=name, width=0.0008, rgba=[0.3, 0.45, 0.8, 1])
+        tendon.wrap_site(f"anchor{gap}_front_{side}")
+        tendon.wrap_site(f"anchor{gap + 1}_rear_{side}")
+        # The two-state spring is affine in length with xi as control: see sma.spring_force.
+        k = float(strengths[index])
+        spec.add_actuator(
+            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_TENDON,
+            gaintype=mujoco.mjtGain.mjGAIN_AFFINE, biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+            biasprm=[k * cold * s.martensite_rest_length_m, -k * cold, 0] + [0] * 7,
+            gainprm=[
+                k * (hot * s.austenite_rest_length_m - cold * s.martensite_rest_length_m),
+                -k * (hot - cold), 0,
+            ] + [0] * 7,
+            ctrllimited=True, ctrlrange=[0, 1],
+            forcelimited=True, forcerange=[-k * s.force_limit_n, 0],
+        )  # fmt: skip

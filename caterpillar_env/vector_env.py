@@ -1,0 +1,253 @@
+"""The native vector environment: N robots, each with a body of its own, in one batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from caterpillar_env.env import CaterpillarEnv
+from caterpillar_env.episodes import Episodes, check_options, morphologies_for
+from caterpillar_env.errors import SimulationError
+from caterpillar_env.model import Physics
+from caterpillar_env.morphology import Morphology
+from caterpillar_env.rendering import RobotRenderer
+from caterpillar_env.task import EPISODE_S
+
+Array = NDArray[np.float64]
+
+
+class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]]):
+    """`num_envs` caterpillars stepped together; row i is `CaterpillarEnv` reset with seed + i.
+
+    Arguments are those of `CaterpillarEnv` and:
+
+    Args:
+        num_envs: number of rows.
+        morphology: one body for all rows, a list of `num_envs` of them, or an array (num_envs, 8).
+        autoreset_mode: when a row whose episode has ended starts anew (`AutoresetMode` or its value).
+        max_episode_steps: truncate after so many steps as well.
+        threads: 0 for all cores; results do not depend on it.
+
+    `reset(options=...)` takes `morphology`, likewise, and `reset_mask`, a bool array (num_envs,). The
+    episode info of a row's last step is under `final_info`, its observation under `final_obs`
+    (`AutoresetMode.SAME_STEP`).
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {**CaterpillarEnv.metadata}  # type: ignore[misc]
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        action_mode: str = "timing",
+        symmetric: bool = True,
+        morphology: Any = None,
+        physics: Physics | dict[str, Any] | None = None,
+        gait_period_s: float = 3.0,
+        frame_skip: int = 1,
+        episode_s: float = EPISODE_S,
+        forward_reward_weight: float = 100.0,
+        ctrl_cost_weight: float = 0.0,
+        failure_cost: float = 5.0,
+        reset_noise_scale: float = 0.0,
+        terminate_on_failure: bool = True,
+        threads: int = 0,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        camera_name: str = "track",
+        default_camera_config: dict[str, Any] | None = None,
+    ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise SimulationError(
+                f'render_mode of the vector environment must be None or "rgb_array"; got {render_mode!r}'
+            )
+        self.num_envs = num_envs
+        self._mode = AutoresetMode(autoreset_mode)
+        self._episodes = Episodes(
+            num_envs,
+            action_mode=action_mode,
+            symmetric=symmetric,
+            physics=physics,
+            gait_period_s=gait_period_s,
+            frame_skip=frame_skip,
+            episode_s=episode_s,
+            forward_reward_weight=forward_reward_weight,
+            ctrl_cost_weight=ctrl_cost_weight,
+            failure_cost=failure_cost,
+            reset_noise_scale=reset_noise_scale,
+            terminate_on_failure=terminate_on_failure,
+            threads=threads,
+        )
+        self._morphologies = morphologies_for(
+            Morphology() if morphology is None else morphology, num_envs
+        )
+        self.single_action_space = self._episodes.action_space
+        self.single_observation_space = self._episodes.observation_space
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.metadata = {
+            **self.metadata,
+            "autoreset_mode": self._mode,
+            "render_fps": 1 / self._episodes.step_s,
+        }
+        self.render_mode = render_mode
+        self._picture = (width, height, camera_name, default_camera_config)
+        self._renderers: list[RobotRenderer | None] = [None] * num_envs
+        self._limit = max_episode_steps
+        self._every = np.arange(num_envs)
+        self._generators: list[np.random.Generator] = []
+        self._done = np.zeros(num_envs, dtype=bool)
+        self._elapsed = np.zeros(num_envs, dtype=np.int64)
+        self._observations = np.zeros(self.observation_space.shape or (), dtype=np.float32)
+
+    @property
+    def observation_names(self) -> list[str]:
+        """Name of every entry of a row's observation, in order."""
+        return self._episodes.observation_names
+
+    @property
+    def morphologies(self) -> list[Morphology]:
+        """The body of each row."""
+        return list(self._morphologies)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start episodes in all rows, or in those of `options["reset_mask"]`."""
+        chosen = check_options(options, ("morphology", "reset_mask"))
+        mask = np.asarray(chosen.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise SimulationError(
+                f"reset_mask must be a bool array of shape ({self.num_envs},) with a True in it; got {mask}"
+            )
+        if "morphology" in chosen:
+            bodies = morphologies_for(chosen["morphology"], self.num_envs)
+            for row in np.flatnonzero(mask):
+                self._morphologies[row] = bodies[row]
+        self._seed(seed, mask)
+        info = self._start(np.flatnonzero(mask))
+        return self._observations.copy(), info
+
+    def _seed(self, seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]) -> None:
+        if seed is None or isinstance(seed, (int, np.integer)):
+            seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+        if len(seeds) != self.num_envs:
+            raise SimulationError(f"seed must be a number or {self.num_envs} of them; got {seed!r}")
+        if not self._generators:
+            self._generators = [np_random(s)[0] for s in seeds]
+        for row in np.flatnonzero(mask):
+            if seeds[row] is not None:
+                self._generators[row] = np_random(seeds[row])[0]
+
+    def step(
+        self, actions: Any
+    ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Advance all rows by one step; see `autoreset_mode` for those whose episode has ended."""
+        if not self._generators:
+            raise SimulationError("call reset() before step()")
+        actions = np.asarray(actions)
+        if actions.shape[:1] != (self.num_envs,):
+            raise SimulationError(
+                f"actions must have shape {self.action_space.shape}; got {actions.shape}"
+            )
+        if self._mode is AutoresetMode.DISABLED and self._done.any():
+            raise SimulationError(
+                f"rows {np.flatnonzero(self._done).tolist()} have ended: reset them with "
+                'options={"reset_mask": ...} before stepping'
+            )
+        going = np.flatnonzero(~self._done)
+        stale = np.flatnonzero(self._done)  # only in NEXT_STEP mode
+        rewards = np.zeros(self.num_envs)
+        terminated = np.zeros(self.num_envs, dtype=bool)
+        truncated = np.zeros(self.num_envs, dtype=bool)
+        info: dict[str, Any] = {}
+        if going.size:
+            step = self._episodes.step(actions[going], going)
+            self._observations[going] = step.observation
+            self._elapsed[going] += 1
+            rewards[going] = step.reward
+            terminated[going] = step.terminated
+            late = self._elapsed[going] >= self._limit if self._limit else False
+            truncated[going] = (step.truncated | late) & ~step.terminated
+            self._merge(info, step.info, going)
+        if stale.size:
+            self._start(stale, info)
+        self._done = terminated | truncated
+        if self._mode is AutoresetMode.SAME_STEP and self._done.any():
+            ended = np.flatnonzero(self._done)
+            final_obs = np.empty(self.num_envs, dtype=object)
+            for row in ended:
+                final_obs[row] = self._observations[row].copy()
+            final_info: dict[str, Any] = {}
+            self._merge(final_info, {k: v[ended] for k, v in info.items() if k[0] != "_"}, ended)
+            self._start(ended, info)
+            info |= {"final_obs": final_obs, "_final_obs": self._done.copy()}
+            info |= {"final_info": final_info, "_final_info": self._done.copy()}
+            # The rows go on: only what this call returns tells of the end.
+            self._done = np.zeros(self.num_envs, dtype=bool)
+        return self._observations.copy(), rewards, terminated, truncated, info
+
+    def _start(self, rows: NDArray[np.intp], info: dict[str, Any] | None = None) -> dict[str, Any]:
+        info = {} if info is None else info
+        for row in rows:
+            self._forget_renderer(row)
+        observations, started = self._episodes.reset(
+            rows, [self._morphologies[r] for r in rows], [self._generators[r] for r in rows]
+        )
+        self._observations[rows] = observations
+        self._done[rows] = False
+        self._elapsed[rows] = 0
+        return self._merge(info, started, rows)
+
+    def _merge(
+        self, info: dict[str, Any], new: dict[str, NDArray[Any]], rows: NDArray[np.intp]
+    ) -> dict[str, Any]:
+        """Write rows of `new` into full-length arrays of `info`, with Gymnasium's `_key` masks."""
+        for key, values in new.items():
+            if key not in info:
+                info[key] = np.zeros(self.num_envs, dtype=values.dtype)
+                info[f"_{key}"] = np.zeros(self.num_envs, dtype=bool)
+            info[key][rows] = values
+            info[f"_{key}"][rows] = True
+        return info
+
+    def render(self) -> tuple[Any, ...] | None:
+        """One picture per row, or None without a render mode."""
+        if self.render_mode is None:
+            return None
+        simulation = self._episodes.crawl.simulation
+        temperatures = simulation.state().temperature_c
+        frames = []
+        for row in range(self.num_envs):
+            renderer = self._renderers[row]
+            if renderer is None:
+                model, data = simulation.drawable(row)
+                renderer = RobotRenderer(model, data, self._episodes.physics.spring, *self._picture)
+                self._renderers[row] = renderer
+            frames.append(renderer.draw(simulation.qpos(row), temperatures[row], self.render_mode))
+        return tuple(frames)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Free the drawing contexts."""
+        for row in range(self.num_envs):
+            self._forget_renderer(row)
+
+    def _forget_renderer(self, row: int) -> None:
+        renderer = self._renderers[row]
+        if renderer is not None:
+            renderer.close()
+            self._renderers[row] = None

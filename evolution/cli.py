@@ -1,0 +1,85 @@
+"""The `caterpillar` command: finds the subcommand, parses its arguments, and says errors in one line.
+
+Subcommands are entry points of the group `caterpillar.commands`: callables that take the remaining
+arguments and return an exit status. Other packages add theirs in the same way.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import sys
+from collections.abc import Callable, Sequence
+from importlib.metadata import entry_points, version
+from typing import TypeVar
+
+from caterpillar_env.errors import CaterpillarError
+
+T = TypeVar("T")
+
+_SUMMARIES = {
+    "evolve": "evolve body and gait with the paper's genetic algorithm",
+    "preprocess": "print and draw what the physics-based preprocessor says of each gene",
+    "replay": "simulate a recorded robot once more and make a video",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one subcommand; the exit status is 0, 1 (an error), 2 (wrong usage) or 130 (Ctrl-C)."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    commands = {e.name: e for e in entry_points(group="caterpillar.commands")}
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(_overview(sorted(commands)))
+        return 0 if arguments else 2
+    if arguments[0] == "--version":
+        print(version("caterpillar-sma"))
+        return 0
+    name, *rest = arguments
+    if name not in commands:
+        print(
+            f"caterpillar: error: no subcommand {name!r}; choose from {', '.join(sorted(commands))}",
+            file=sys.stderr,
+        )
+        return 2
+    try:
+        run: Callable[[list[str]], int] = commands[name].load()
+        return run(rest)
+    except CaterpillarError as error:
+        print(f"caterpillar {name}: error: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        return 1
+    except KeyboardInterrupt:
+        print(f"caterpillar {name}: stopped", file=sys.stderr)
+        return 130
+
+
+def parse(kind: type[T], argv: Sequence[str], command: str, default: T | None = None) -> T:
+    """A dataclass from command-line flags; wrong usage exits with status 2 after one line."""
+    import tyro
+
+    noise = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(noise):
+            parsed: T = tyro.cli(
+                tyro.conf.OmitArgPrefixes[kind],  # type: ignore[valid-type]
+                prog=f"caterpillar {command}",
+                args=list(argv),
+                **({} if default is None else {"default": default}),
+            )
+    except SystemExit as stop:
+        if stop.code:
+            line = re.sub(r"\s+", " ", re.sub(r"[╭╮╰╯─│]+", " ", noise.getvalue())).strip()
+            print(f"caterpillar {command}: error: {line}", file=sys.stderr)
+        raise
+    return parsed
+
+
+def _overview(commands: Sequence[str]) -> str:
+    width = max(map(len, commands), default=0)
+    lines = [f"  {c:<{width}}  {_SUMMARIES.get(c, 'added by another package')}" for c in commands]
+    return "\n".join(
+        ["usage: caterpillar COMMAND [OPTIONS]", "", "commands:", *lines]
+        + ["", "caterpillar COMMAND --help tells the options of one; --version the version."]
+    )

@@ -1,0 +1,261 @@
+"""The subcommands `evolve`, `preprocess` and `replay`: what they print and which files they leave."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from caterpillar_env.errors import CaterpillarError
+from evolution import cli
+from evolution.distributions import TruncatedGaussian
+from evolution.individual import Individual, label
+from evolution.optimizers.ga import GaConfig
+from evolution.preprocessor import GenePrior, design_parameters, paper_priors
+from evolution.run import Generation, RunConfig, RunResult, evolve
+
+PRESETS = {
+    "paper": RunConfig(),
+    "quick": RunConfig(generations=8, ga=GaConfig(population=20, hall_of_fame=2)),
+}
+
+
+@dataclass(frozen=True)
+class EvolveArgs:
+    """Evolve body and gait. Without options: the paper's run, 200 genomes for 50 generations."""
+
+    preset: Literal["paper", "quick"] = "paper"
+    """quick: 20 genomes for 8 generations, about a minute on two cores. Other flags change a preset."""
+    out: Path | None = None
+    """Run folder to make; by default a new one under runs/."""
+    threads: int = 0
+    """Threads to simulate on; 0 for all cores. The results do not depend on it."""
+    video: bool = True
+    """Write best.mp4."""
+    config: RunConfig = field(default_factory=RunConfig)
+
+
+def evolve_command(argv: Sequence[str]) -> int:
+    """`caterpillar evolve`."""
+    args = cli.parse(EvolveArgs, argv, "evolve", EvolveArgs(config=PRESETS[_preset(argv)]))
+    if args.threads < 0:
+        raise CaterpillarError(f"threads = {args.threads} must not be negative; 0 is all cores")
+    folder = args.out or _unused(Path("runs"), f"{args.config.prior}-seed{args.config.seed}")
+    console = Console(stderr=True)
+    with _Reporter(args.config, console) as reporter:
+        result = evolve(
+            args.config, folder, threads=args.threads,
+            on_generation=reporter.generation, on_progress=reporter.progress,
+        )  # fmt: skip
+    _finish(result, folder, console, video=args.video)
+    return 0 if result.finished else 130
+
+
+def _preset(argv: Sequence[str]) -> str:
+    """The preset named in the arguments: it makes the defaults for all other flags."""
+    for flag, value in zip(argv, [*argv[1:], ""], strict=True):
+        name = value if flag == "--preset" else flag.removeprefix("--preset=")
+        if flag.startswith("--preset") and name in PRESETS:
+            return name
+    return "paper"
+
+
+def _unused(parent: Path, name: str) -> Path:
+    number = 1
+    while (folder := parent / (name if number == 1 else f"{name}-{number}")).exists():
+        number += 1
+    return folder
+
+
+def _finish(result: RunResult, folder: Path, console: Console, *, video: bool) -> None:
+    if not result.finished:
+        console.print(f"stopped; what is finished is in {folder}")
+    if not result.generations:
+        return
+    from evolution import plots
+
+    title = f"{folder.name}: {result.generations[-1].evaluations} evaluations"
+    plots.convergence(result.generations, folder / "convergence.png", title)
+    best = result.best
+    if best is None:
+        console.print(f"no robot crawled forwards without failing; see {folder}/evaluations.csv")
+        return
+    plots.gait(best, folder / "gait.png")
+    print(f"best: {1000 * (best.fitness_m or 0):.1f} mm in 30 s (generation {best.generation}), in {folder}")
+    if video:
+        _film(best, folder / "best.mp4", console)
+
+
+def _film(individual: Individual, path: Path, console: Console, timestep_s: float | None = None) -> None:
+    """Write a video; a machine that cannot draw costs only the video."""
+    from evolution.video import VideoError, write_video
+
+    console.print(f"writing {path} ...")
+    try:
+        write_video(individual, path, timestep_s=timestep_s)
+    except VideoError as error:
+        console.print(f"no video: {error}")
+
+
+class _Reporter:
+    """Tells how a run goes: a live bar on a terminal, a line per generation elsewhere."""
+
+    def __init__(self, config: RunConfig, console: Console) -> None:
+        self._config, self._console = config, console
+        self._bar: Progress | None = None
+        self._task: TaskID | None = None
+
+    def __enter__(self) -> _Reporter:
+        if self._console.is_terminal:
+            self._bar = Progress(
+                TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.0f} %, left"),
+                TimeRemainingColumn(), console=self._console,
+            )  # fmt: skip
+            self._bar.start()
+            self._task = self._bar.add_task("generation 0", total=self._config.evaluations())
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def generation(self, told: Generation) -> None:
+        """Print what a generation brought."""
+        failures = ", ".join(f"{n} {reason}" for reason, n in told.failures.items() if n) or "none"
+        line = (
+            f"generation {told.number:3d}  best {1000 * told.best_m:6.1f} mm  "
+            f"mean {1000 * told.mean_m:5.1f} mm  failed: {failures}  "
+            f"simulated {told.simulated_s:,.0f} s"
+        )
+        if self._bar is None or self._task is None:
+            left = told.elapsed_s / told.evaluations * (self._config.evaluations() - told.evaluations)
+            self._console.print(f"{line}  left {left / 60:.1f} min", highlight=False, soft_wrap=True)
+        else:
+            self._console.print(line, highlight=False)
+            self._bar.update(
+                self._task, completed=told.evaluations, description=f"generation {told.number + 1}"
+            )
+
+    def progress(self, share: float) -> None:
+        """Move the bar within a generation."""
+        if self._bar is not None and self._task is not None:
+            ga = self._config.ga
+            done = self._bar.tasks[0].fields.get("whole", 0)
+            size = ga.population if done == 0 else ga.population - ga.hall_of_fame
+            self._bar.update(self._task, completed=done + share * size)
+
+
+@dataclass(frozen=True)
+class PreprocessArgs:
+    """Print Table I: what the preprocessor says of each gene, and draw the densities."""
+
+    json: bool = False
+    """Print data instead of a table: gene, kind, mu, sigma, lower, upper, reason."""
+    out: Path = Path("preprocess.png")
+    """Where to draw the densities."""
+    floor_ratio: float = 3.0
+    """Greatest over least density of a Gaussian; the paper's third is 3."""
+    gait_period_s: float = 3.0
+    """Gait period, the upper bound of the times."""
+    num_segments: int = 4
+    """Segments of the robot."""
+
+
+def preprocess_command(argv: Sequence[str]) -> int:
+    """`caterpillar preprocess`."""
+    from evolution import plots
+
+    args = cli.parse(PreprocessArgs, argv, "preprocess")
+    physics = replace(RunConfig().physics, num_segments=args.num_segments)
+    priors = paper_priors(physics, args.gait_period_s, args.floor_ratio)
+    if args.json:
+        print(json.dumps([prior.to_dict() for prior in priors], indent=2))
+    else:
+        Console().print(_table(priors, [k.name for k in design_parameters(physics)]))
+    try:
+        plots.densities(priors, args.out)
+    except OSError as error:
+        raise CaterpillarError(
+            f"cannot write {args.out}: {error.strerror}; choose another file with --out"
+        ) from None
+    print(f"densities drawn in {args.out}", file=sys.stderr)
+    return 0
+
+
+def _table(priors: Sequence[GenePrior], names: Sequence[str]) -> Table:
+    table = Table(title="Mutation distributions (Saunders 2009, Table I)", title_justify="left")
+    for heading in ("gene", "range", *names, "mu", "sigma", "reason"):
+        table.add_column(heading, no_wrap=heading == "gene")
+    for prior in priors:
+        gene, data, signs = prior.gene, prior.to_dict(), dict(prior.signs)
+        gaussian = isinstance(prior.distribution, TruncatedGaussian)
+        table.add_row(
+            gene.name,
+            f"{gene.lower:g} - {gene.upper:g}",
+            *({1: "+", -1: "-", 0: ""}[signs.get(name, 0)] for name in names),
+            f"{data['mu']:.4g}" if gaussian else "uniform",
+            f"{data['sigma']:.4g}" if gaussian else "",
+            prior.reason,
+        )
+    return table
+
+
+@dataclass(frozen=True)
+class ReplayArgs:
+    """Simulate a recorded robot once more, compare with the record, and make a video."""
+
+    source: Annotated[Path, tyro.conf.Positional]
+    """A run folder, or the JSON file of one robot (best.json)."""
+    timestep: float | None = None
+    """Another timestep than the recorded one, in s: 0.0005, say."""
+    json: bool = False
+    """Print data instead of a sentence."""
+    video: bool = True
+    """Write replay.mp4 beside the source."""
+    threads: int = 1
+    """Threads to simulate on."""
+
+
+def replay_command(argv: Sequence[str]) -> int:
+    """`caterpillar replay`."""
+    args = cli.parse(ReplayArgs, argv, "replay")
+    individual = Individual.load(args.source)
+    outcomes = individual.simulate(args.timestep, threads=args.threads)
+    fitness = float(outcomes.fitness()[0])
+    recorded = individual.fitness_m
+    said = {
+        "fitness_m": fitness,
+        "recorded_fitness_m": recorded,
+        "identical": fitness == recorded,
+        "failure": label(outcomes.failure[0]),
+        "distance_m": float(outcomes.distance_m[0]),
+        "energy_j": float(outcomes.energy_j[0]),
+        "simulated_s": float(outcomes.simulated_s[0]),
+        "timestep_s": args.timestep or individual.physics.timestep_s,
+    }
+    if args.json:
+        print(json.dumps(said, indent=2))
+    else:
+        print(f"fitness {fitness!r} m ({said['failure']}), {said['energy_j']:.1f} J, {_verdict(said)}")
+    if args.video:
+        folder = args.source if args.source.is_dir() else args.source.parent
+        _film(individual, folder / "replay.mp4", Console(stderr=True), args.timestep)
+    return 0
+
+
+def _verdict(said: dict[str, float | str | bool | None]) -> str:
+    recorded = said["recorded_fitness_m"]
+    if not isinstance(recorded, float) or not recorded:
+        return "nothing recorded to compare with"
+    if said["identical"]:
+        return "the same as recorded, bit for bit"
+    assert isinstance(said["fitness_m"], float)
+    return f"recorded {recorded!r} m: {100 * (said['fitness_m'] / recorded - 1):+.1f} %"

@@ -1,0 +1,81 @@
+"""Fitness: how far a genome's robot crawls in 30 s (Saunders 2009, section IV)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from caterpillar_env.gait import GaitTimings, whole
+from caterpillar_env.model import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
+from caterpillar_env.morphology import Morphology
+from caterpillar_env.simulation import Trace
+from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure
+from evolution.genome import decode
+
+Array = NDArray[np.float64]
+
+
+class Outcomes(NamedTuple):
+    """What became of P genomes. A failure is a status, not a number."""
+
+    failure: NDArray[np.int8]  #: values of `Failure`, (P,)
+    distance_m: Array  #: until the end or the failure, (P,)
+    energy_j: Array  #: electrical, (P,)
+    simulated_s: Array  #: really stepped, (P,)
+
+    def fitness(self, failed_fitness: float = 0.0) -> Array:
+        """Distance in m, not below 0; `failed_fitness` for a failure, (P,)."""
+        ok = self.failure == Failure.NONE
+        return np.where(ok, np.maximum(self.distance_m, 0.0), failed_fitness)
+
+
+def evaluate(genomes: Array, physics: Physics, period_s: float, *, threads: int = 0) -> Outcomes:
+    """Simulate P genomes side by side.
+
+    Args:
+        genomes: in [0, 1], shape (P, n).
+        physics: material, numerics, number of segments.
+        period_s: gait period, a whole number of control intervals.
+        threads: 0 means all cores; results do not depend on it.
+    """
+    morphologies, timings = decode(genomes, physics.num_segments, period_s)
+    return simulate(morphologies, timings, physics, threads=threads)
+
+
+def simulate(
+    morphologies: Sequence[Morphology],
+    timings: GaitTimings,
+    physics: Physics,
+    *,
+    threads: int = 0,
+    duration_s: float = EPISODE_S,
+    on_interval: Callable[[Trace | None], None] | None = None,
+    trace: bool = False,
+) -> Outcomes:
+    """Let P robots crawl side by side, each until it fails.
+
+    Args:
+        morphologies: P bodies.
+        timings: of their mirrored pairs, arrays of shape (P, pairs).
+        physics: material, numerics, number of segments.
+        threads: 0 means all cores; results do not depend on it.
+        duration_s: how long each crawls.
+        on_interval: called after each control interval, see `Crawl.run`.
+        trace: whether to trace what is needed to draw.
+    """
+    whole(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
+    steps = whole(duration_s, CONTROL_INTERVAL_S, "the duration") * STEPS_PER_INTERVAL
+    power = timings.mirrored().power(SMA_STEP_S)
+    crawl = Crawl(len(morphologies), physics, threads)
+    crawl.reset(morphologies)
+    # Interval by interval, so that no array of the whole 30 s is made.
+    for first in range(0, steps, STEPS_PER_INTERVAL):
+        phase = first % power.shape[1]
+        crawl.run(
+            power[:, phase : phase + STEPS_PER_INTERVAL], on_interval=on_interval, trace=trace
+        )
+    done = crawl.progress()
+    return Outcomes(done.failure, done.distance_m, done.energy_j, done.time_s)

@@ -1,0 +1,129 @@
+"""One evolved robot as plain JSON: body, gait and physics in SI units, and what it achieved."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.gait import GaitTimings, pair_names
+from caterpillar_env.model import Physics
+from caterpillar_env.morphology import Morphology
+from caterpillar_env.task import Failure
+from evolution.fitness import Outcomes, simulate
+from evolution.genome import decode
+
+FORMAT = "caterpillar-individual-1"
+
+
+class IndividualError(CaterpillarError):
+    """A file does not hold an individual."""
+
+
+@dataclass(frozen=True)
+class Individual:
+    """A body with its gait, in the physics that it was evaluated in."""
+
+    morphology: Morphology
+    timings: GaitTimings  #: of the mirrored pairs, arrays of shape (pairs,)
+    physics: Physics
+    fitness_m: float | None = None  #: as recorded
+    generation: int | None = None
+
+    @classmethod
+    def of_genome(
+        cls, genome: NDArray[np.float64], physics: Physics, period_s: float, **record: Any
+    ) -> Individual:
+        """The individual of a genome (n,) in [0, 1]."""
+        morphologies, timings = decode(genome[None], physics.num_segments, period_s)
+        gait = GaitTimings(period_s, timings.on_s[0], timings.off_s[0])
+        return cls(morphologies[0], gait, physics, **record)
+
+    def simulate(self, timestep_s: float | None = None, **kwargs: Any) -> Outcomes:
+        """Let it crawl once more, at its own timestep or another; keywords as for `fitness.simulate`."""
+        physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
+        gait = GaitTimings(self.timings.period_s, self.timings.on_s[None], self.timings.off_s[None])
+        return simulate([self.morphology], gait, physics, **kwargs)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON; every number carries its unit in its name."""
+        pairs = zip(
+            pair_names(self.physics.num_segments),
+            self.timings.on_s.tolist(),
+            self.timings.off_s.tolist(),
+            strict=True,
+        )
+        return {
+            "format": FORMAT,
+            "fitness_m": self.fitness_m,
+            "generation": self.generation,
+            "morphology": self.morphology.to_dict(),
+            "gait": {
+                "period_s": self.timings.period_s,
+                "pairs": {name: {"on_s": on, "off_s": off} for name, on, off in pairs},
+            },
+            "physics": self.physics.to_dict(),
+        }
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Individual:
+        """The individual in plain JSON.
+
+        Raises:
+            CaterpillarError: a part is missing or unusable.
+        """
+        if not isinstance(data, dict) or data.get("format") != FORMAT:
+            raise IndividualError(f'expected JSON with "format": "{FORMAT}" (a best.json)')
+        try:
+            physics = Physics.of(data["physics"])
+            names = pair_names(physics.num_segments)
+            pairs = data["gait"]["pairs"]
+            if set(pairs) != set(names):
+                raise IndividualError(f"gait.pairs must be {', '.join(names)}; got {', '.join(pairs)}")
+            timings = GaitTimings(
+                data["gait"]["period_s"],
+                np.array([pairs[n]["on_s"] for n in names], dtype=np.float64),
+                np.array([pairs[n]["off_s"] for n in names], dtype=np.float64),
+            )
+            return cls(
+                Morphology.of(data["morphology"]),
+                timings,
+                physics,
+                data.get("fitness_m"),
+                data.get("generation"),
+            )
+        except (KeyError, TypeError) as error:
+            raise IndividualError(f"the individual lacks or garbles {error}") from None
+
+    def save(self, path: Path) -> None:
+        """Write `path`."""
+        path.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: Path) -> Individual:
+        """Read `path`: a run folder or a JSON file.
+
+        Raises:
+            CaterpillarError: no such file, no JSON, or no individual in it.
+        """
+        file = path / "best.json" if path.is_dir() else path
+        try:
+            data = json.loads(file.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise IndividualError(f"cannot read {file}: {error.strerror}") from None
+        except ValueError as error:
+            raise IndividualError(f"{file} is not JSON: {error}") from None
+        try:
+            return cls.from_dict(data)
+        except CaterpillarError as error:
+            raise IndividualError(f"{file}: {error}") from None
+
+
+def label(failure: int) -> str:
+    """Name of a failure code, "ok" for none."""
+    return Failure(failure).label
