@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -116,7 +116,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     - v0: first version (MuJoCo 4.0).
     """
 
-    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+    metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": ["human", "rgb_array", "depth_array", "rgb_array_list"],
         "render_fps": round(1 / CONTROL_INTERVAL_S),
     }
@@ -219,9 +219,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         if not self._running:
             raise SimulationError("call reset() before step()")
         live = self.render_mode in ("human", "rgb_array_list")
-        step = self._episodes.step(
-            np.asarray(action)[None], _ROW, self._on_interval if live else None
-        )
+        step = self._episodes.step(np.asarray(action)[None], _ROW, self._on_interval if live else None)
         return (
             step.observation[0],
             float(step.reward[0]),

@@ -14,7 +14,13 @@ from caterpillar_env.gait import GaitTimings, whole
 from caterpillar_env.model import CONTROL_INTERVAL_S, SMA_STEP_S, Physics, joint_names
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.simulation import Array, Rows, Trace
-from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, observation_names, observe
+from caterpillar_env.task import (
+    STEPS_PER_INTERVAL,
+    Crawl,
+    Failure,
+    observation_names,
+    observe,
+)
 
 #: Bound of every entry of an observation; healthy robots stay around one.
 OBSERVATION_LIMIT = 1000.0

@@ -255,9 +255,7 @@ def _add_shell(body: mujoco.MjsBody, index: int, m: Morphology, p: Physics) -> N
     )  # fmt: skip
 
 
-def _add_intra_segment_joints(
-    body: mujoco.MjsBody, segment: int, m: Morphology, p: Physics
-) -> None:
+def _add_intra_segment_joints(body: mujoco.MjsBody, segment: int, m: Morphology, p: Physics) -> None:
     middle = [m.segment_length_m / 4, 0, 0]
     travel = p.axial_range * m.segment_length_m
     # The body is moulded so that, cold, the springs' pre-tension just brings it to length L.
@@ -268,7 +266,8 @@ def _add_intra_segment_joints(
     limit_solref = [p.contact_time_constant_s, 1]
     body.add_joint(
         name=f"axial{segment}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[-1, 0, 0], pos=middle,
-        stiffness=[p.axial_stiffness_n_m, 0, 0], damping=[p.axial_damping_n_s_m, 0, 0], springref=stretch,
+        stiffness=[p.axial_stiffness_n_m, 0, 0], damping=[p.axial_damping_n_s_m, 0, 0],
+        springref=stretch,
         limited=True, range=[-travel, travel], solref_limit=limit_solref,
     )  # fmt: skip
     body.add_joint(

@@ -68,7 +68,7 @@ class RobotRenderer:
         self._renderer = MujocoRenderer(model, data, width=width, height=height, **camera)
 
     def draw(self, qpos: Array, temperature_c: Array, mode: str) -> NDArray[Any] | None:
-        """Draw a pose, qpos (nq,), with springs at temperature_c (springs,); see `MujocoRenderer.render`."""
+        """Draw a pose, qpos (nq,), with springs at temperature_c (springs,), in a render mode."""
         self._data.qpos[:] = qpos
         mujoco.mj_forward(self._model, self._data)
         self._model.tendon_rgba[:] = spring_colours(self._spring, temperature_c)
@@ -77,4 +77,4 @@ class RobotRenderer:
 
     def close(self) -> None:
         """Free the window or the drawing context."""
-        self._renderer.close()
+        self._renderer.close()  # type: ignore[no-untyped-call]

@@ -198,7 +198,9 @@ class Simulation:
         """Whether MuJoCo warned of a bad state or a full constraint buffer since reset, (R,)."""
         index = self._rows(rows)
         finite = np.isfinite(self._qpos[index]).all(axis=1) & np.isfinite(self._qvel[index]).all(axis=1)
-        return (self._batch.warning[index, :, 1] > 0).any(axis=1) | ~finite
+        warned: NDArray[np.bool_] = (self._batch.warning[index, :, 1] > 0).any(axis=1)
+        diverged: NDArray[np.bool_] = warned | ~finite
+        return diverged
 
     def state(self, rows: Rows | None = None) -> BodyState:
         """Fresh copies of where the rows are."""
@@ -214,7 +216,7 @@ class Simulation:
         linear = linear + np.cross(angular, arm)
         sma = SmaState(self._sma.enthalpy_j_kg[index], self._sma.fraction[index])
         return BodyState(
-            time_s=self._steps[index] * SMA_STEP_S,
+            time_s=self._steps[index].astype(np.float64) * SMA_STEP_S,
             com_m=com,
             up=matrices[..., 2].mean(axis=1),
             forward=matrices[..., 0].mean(axis=1),

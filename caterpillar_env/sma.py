@@ -177,7 +177,9 @@ class SmaState(NamedTuple):
 
     def temperature_c(self, spring: SmaSpring) -> Array:
         """T = (H - L xi) / c, degC, of the state's shape."""
-        return (self.enthalpy_j_kg - spring.latent_heat_j_kg * self.fraction) / spring.specific_heat_j_kg_k
+        return (
+            self.enthalpy_j_kg - spring.latent_heat_j_kg * self.fraction
+        ) / spring.specific_heat_j_kg_k
 
 
 class SmaStep(NamedTuple):
@@ -237,7 +239,8 @@ def advance(spring: SmaSpring, state: SmaState, power: Array, step_s: float) -> 
 
 def spring_force(spring: SmaSpring, length_m: Array, fraction: Array) -> Array:
     """Pulling force of a two-state spring, N: (1 - xi) k_M (l - l_M) + xi k_A (l - l_A), clipped to
-    [0, force_limit_n]. The model's actuators compute the same (see `caterpillar_env.model`)."""
+    [0, force_limit_n]. The model's actuators compute the same (see `caterpillar_env.model`).
+    """
     cold = spring.martensite_stiffness_n_m * (length_m - spring.martensite_rest_length_m)
     hot = spring.austenite_stiffness_n_m * (length_m - spring.austenite_rest_length_m)
     return np.clip((1 - fraction) * cold + fraction * hot, 0.0, spring.force_limit_n)

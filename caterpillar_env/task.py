@@ -206,16 +206,22 @@ class Crawl:
         state = self.simulation.state(index)
         progress = self._progress(index, state)
         found = judge(
-            state, progress.lateral_m, progress.heading_rad, self.simulation.diverged(index), self.thresholds
+            state,
+            progress.lateral_m,
+            progress.heading_rad,
+            self.simulation.diverged(index),
+            self.thresholds,
         )
         # The first failure stays; only a later divergence is told instead.
         keep = (self.failure[index] != Failure.NONE) & (found != Failure.DIVERGED)
         self.failure[index] = np.where(keep, self.failure[index], found)
 
     def _stopped(self, index: Rows) -> NDArray[np.bool_]:
-        if self.stop_on_failure:
-            return self.failure[index] != Failure.NONE
-        return self.failure[index] == Failure.DIVERGED
+        code = self.failure[index]
+        stopped: NDArray[np.bool_] = (
+            code != Failure.NONE if self.stop_on_failure else code == Failure.DIVERGED
+        )
+        return stopped
 
     def _rows(self, rows: Rows | None) -> Rows:
         return np.arange(self.simulation.num_rows) if rows is None else rows

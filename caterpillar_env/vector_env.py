@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from gymnasium.utils.seeding import np_random
@@ -39,7 +39,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
     (`AutoresetMode.SAME_STEP`).
     """
 
-    metadata: ClassVar[dict[str, Any]] = {**CaterpillarEnv.metadata}  # type: ignore[misc]
+    metadata: dict[str, Any] = {**CaterpillarEnv.metadata}  # noqa: RUF012
 
     def __init__(
         self,
@@ -130,7 +130,8 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         mask = np.asarray(chosen.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             raise SimulationError(
-                f"reset_mask must be a bool array of shape ({self.num_envs},) with a True in it; got {mask}"
+                f"reset_mask must be a bool array of shape ({self.num_envs},) with a True in it; "
+                f"got {mask}"
             )
         if "morphology" in chosen:
             bodies = morphologies_for(chosen["morphology"], self.num_envs)

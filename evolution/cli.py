@@ -48,6 +48,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except CaterpillarError as error:
         print(f"caterpillar {name}: error: {error}", file=sys.stderr)
         return 1
+    except SystemExit as stop:  # from the parser: 0 after --help, 2 after wrong usage
+        return int(stop.code or 0)
     except BrokenPipeError:
         return 1
     except KeyboardInterrupt:
@@ -62,24 +64,30 @@ def parse(kind: type[T], argv: Sequence[str], command: str, default: T | None = 
     noise = io.StringIO()
     try:
         with contextlib.redirect_stderr(noise):
-            parsed: T = tyro.cli(
-                tyro.conf.OmitArgPrefixes[kind],  # type: ignore[valid-type]
+            return tyro.cli(
+                kind,
                 prog=f"caterpillar {command}",
                 args=list(argv),
-                **({} if default is None else {"default": default}),
+                default=tyro.MISSING_NONPROP if default is None else default,
+                config=(tyro.conf.OmitArgPrefixes,),
             )
     except SystemExit as stop:
         if stop.code:
             line = re.sub(r"\s+", " ", re.sub(r"[╭╮╰╯─│]+", " ", noise.getvalue())).strip()
             print(f"caterpillar {command}: error: {line}", file=sys.stderr)
         raise
-    return parsed
 
 
 def _overview(commands: Sequence[str]) -> str:
     width = max(map(len, commands), default=0)
     lines = [f"  {c:<{width}}  {_SUMMARIES.get(c, 'added by another package')}" for c in commands]
     return "\n".join(
-        ["usage: caterpillar COMMAND [OPTIONS]", "", "commands:", *lines]
-        + ["", "caterpillar COMMAND --help tells the options of one; --version the version."]
+        [
+            "usage: caterpillar COMMAND [OPTIONS]",
+            "",
+            "commands:",
+            *lines,
+            "",
+            "caterpillar COMMAND --help tells the options of one; --version the version.",
+        ]
     )

@@ -89,7 +89,10 @@ def _finish(result: RunResult, folder: Path, console: Console, *, video: bool) -
         console.print(f"no robot crawled forwards without failing; see {folder}/evaluations.csv")
         return
     plots.gait(best, folder / "gait.png")
-    print(f"best: {1000 * (best.fitness_m or 0):.1f} mm in 30 s (generation {best.generation}), in {folder}")
+    print(
+        f"best: {1000 * (best.fitness_m or 0):.1f} mm in 30 s "
+        f"(generation {best.generation}), in {folder}"
+    )
     if video:
         _film(best, folder / "best.mp4", console)
 
@@ -112,12 +115,14 @@ class _Reporter:
         self._config, self._console = config, console
         self._bar: Progress | None = None
         self._task: TaskID | None = None
+        self._evaluated = 0
 
     def __enter__(self) -> _Reporter:
         if self._console.is_terminal:
             self._bar = Progress(
-                TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.0f} %, left"),
-                TimeRemainingColumn(), console=self._console,
+                TextColumn("{task.description}"), BarColumn(),
+                TextColumn("{task.percentage:.0f} %, left"), TimeRemainingColumn(),
+                console=self._console,
             )  # fmt: skip
             self._bar.start()
             self._task = self._bar.add_task("generation 0", total=self._config.evaluations())
@@ -129,6 +134,7 @@ class _Reporter:
 
     def generation(self, told: Generation) -> None:
         """Print what a generation brought."""
+        self._evaluated = told.evaluations
         failures = ", ".join(f"{n} {reason}" for reason, n in told.failures.items() if n) or "none"
         line = (
             f"generation {told.number:3d}  best {1000 * told.best_m:6.1f} mm  "
@@ -148,9 +154,8 @@ class _Reporter:
         """Move the bar within a generation."""
         if self._bar is not None and self._task is not None:
             ga = self._config.ga
-            done = self._bar.tasks[0].fields.get("whole", 0)
-            size = ga.population if done == 0 else ga.population - ga.hall_of_fame
-            self._bar.update(self._task, completed=done + share * size)
+            size = ga.population - (ga.hall_of_fame if self._evaluated else 0)
+            self._bar.update(self._task, completed=self._evaluated + share * size)
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ class TruncatedGaussian:
     def sample(self, rng: np.random.Generator, size: int) -> Array:
         """`size` draws in [0, 1], by inversion of the distribution function: one uniform a draw."""
         low, high = ndtr(-self.mu / self.sigma), ndtr((1.0 - self.mu) / self.sigma)
-        drawn = self.mu + self.sigma * ndtri(low + (high - low) * rng.random(size))
+        drawn: Array = self.mu + self.sigma * ndtri(low + (high - low) * rng.random(size))
         return np.clip(drawn, 0.0, 1.0)
 
     def density(self, x: Array) -> Array:

@@ -74,8 +74,6 @@ def simulate(
     # Interval by interval, so that no array of the whole 30 s is made.
     for first in range(0, steps, STEPS_PER_INTERVAL):
         phase = first % power.shape[1]
-        crawl.run(
-            power[:, phase : phase + STEPS_PER_INTERVAL], on_interval=on_interval, trace=trace
-        )
+        crawl.run(power[:, phase : phase + STEPS_PER_INTERVAL], on_interval=on_interval, trace=trace)
     done = crawl.progress()
     return Outcomes(done.failure, done.distance_m, done.energy_j, done.time_s)

@@ -60,7 +60,8 @@ def gait(individual: Individual, path: Path) -> None:
         axis.set_ylabel(name.replace("_", "\n"), rotation=0, ha="right", va="center", fontsize="small")
         axis.set(ylim=(-0.05, 1.05), xlim=(0, timings.period_s), yticks=[0, 1])
     axes[0].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, fontsize="small", frameon=False)
-    axes[0].set_title("One gait period (left and right spring of a pair alike)", loc="left", fontsize="medium")
+    title = "One gait period (left and right spring of a pair alike)"
+    axes[0].set_title(title, loc="left", fontsize="medium")
     axes[-1].set_xlabel("time in the period (s)")
     figure.savefig(path, dpi=120)
 

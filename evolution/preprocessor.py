@@ -38,9 +38,7 @@ class DesignParameter(NamedTuple):
     formula: Callable[..., Array]  #: takes the genes in SI units, broadcast against one another
 
 
-def roll_stability(
-    segment_mass_kg: Array, leg_separation_m: Array, segment_radius_m: Array
-) -> Array:
+def roll_stability(segment_mass_kg: Array, leg_separation_m: Array, segment_radius_m: Array) -> Array:
     """Least sideways force at the centre of mass that topples a segment, N (Saunders 2009, eqs 2-4).
 
     The centre of mass stands 2R above the ground and w/2 from the contact point a, so that
@@ -166,8 +164,7 @@ def best_node(
             raise CaterpillarError(f"{parameter.name} does not depend on {name}: leave it out")
     best = np.unravel_index(int(np.argmax(values)), values.shape)
     return {
-        name: float(node) / (nodes - 1)
-        for name, node in zip(parameter.gene_names, best, strict=True)
+        name: float(node) / (nodes - 1) for name, node in zip(parameter.gene_names, best, strict=True)
     }
 
 
@@ -207,9 +204,7 @@ def _prior(gene: Gene, peaks: Mapping[str, Mapping[str, float]], floor_ratio: fl
     return GenePrior(gene, distribution, signs, f"best node of {' and '.join(said)}")
 
 
-def paper_priors(
-    physics: Physics, period_s: float, floor_ratio: float = 3.0
-) -> list[GenePrior]:
+def paper_priors(physics: Physics, period_s: float, floor_ratio: float = 3.0) -> list[GenePrior]:
     """The preprocessor's answer for this robot: Table I."""
     table = genes(physics.num_segments, period_s)
     return preprocess(design_parameters(physics), table, floor_ratio)

@@ -17,7 +17,7 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings, whole
 from caterpillar_env.model import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.morphology import Morphology
-from caterpillar_env.task import Failure
+from caterpillar_env.task import EPISODE_S, Failure
 from evolution.distributions import Distribution, Uniform
 from evolution.fitness import Outcomes, simulate
 from evolution.genome import decode, genes
@@ -121,9 +121,7 @@ def evolve(
         RunError: the folder is not empty or cannot be written.
     """
     _prepare(folder, config)
-    optimizer = GeneticAlgorithm(
-        config.distributions(), config.ga, np.random.default_rng(config.seed)
-    )
+    optimizer = GeneticAlgorithm(config.distributions(), config.ga, np.random.default_rng(config.seed))
     started = time.monotonic()
     best: Individual | None = None
     history: list[Generation] = []
@@ -196,7 +194,7 @@ def _evaluate(
         nonlocal done
         done += 1
         if on_progress is not None:
-            on_progress(done * CONTROL_INTERVAL_S / 30.0)
+            on_progress(done * CONTROL_INTERVAL_S / EPISODE_S)
 
     outcomes = simulate(bodies, timings, config.physics, threads=threads, on_interval=tick)
     return outcomes, bodies, timings

@@ -40,7 +40,8 @@ class GaConfig:
             raise OptimizerError(f"population = {self.population} must be at least 2")
         if not 0 <= self.hall_of_fame < self.population:
             raise OptimizerError(
-                f"hall_of_fame = {self.hall_of_fame} must be from 0 to population - 1 = {self.population - 1}"
+                f"hall_of_fame = {self.hall_of_fame} must be from 0 to "
+                f"population - 1 = {self.population - 1}"
             )
         for name in ("crossover_rate", "mutation_rate"):
             if not 0 <= getattr(self, name) <= 1:
@@ -71,9 +72,10 @@ def roulette(fitness: Array, draws: int, rng: np.random.Generator) -> NDArray[np
     peak = fitness.max(initial=0.0)
     weight = fitness / peak if peak > 0 else np.ones_like(fitness)  # no overflow, no underflow
     wheel = np.cumsum(weight)
-    drawn = np.searchsorted(wheel, rng.random(draws) * wheel[-1], side="right")
+    drawn: NDArray[np.intp] = np.searchsorted(wheel, rng.random(draws) * wheel[-1], side="right")
     # Rounding may point past the end; the last index with any weight is meant.
-    return np.minimum(drawn, np.flatnonzero(weight)[-1])
+    last = int(np.flatnonzero(weight)[-1])
+    return np.minimum(drawn, last, dtype=np.intp)
 
 
 class GeneticAlgorithm:

@@ -1,0 +1,36 @@
+"""Run by an interpreter that has only the wheel, outside the checkout."""
+
+import importlib.util
+import subprocess
+import sys
+from importlib.metadata import files
+from pathlib import Path
+
+import gymnasium
+
+import caterpillar_env
+
+here = Path(__file__).parent
+assert here not in Path(caterpillar_env.__file__).parents, "imported from the checkout"
+
+top_level = {path.parts[0] for path in files("caterpillar-sma") or [] if path.suffix in (".py", ".typed")}
+assert top_level == {"caterpillar_env", "evolution", "baselines"}, top_level
+assert Path(caterpillar_env.__file__).with_name("py.typed").exists()
+
+for module in ("torch", "ray", "stable_baselines3"):
+    assert importlib.util.find_spec(module) is None, f"{module} came with the base install"
+import baselines  # noqa: F401, E402
+import evolution  # noqa: F401, E402
+
+for name in ("CaterpillarSMA-v0", "CaterpillarSMASwitch-v0"):
+    env = gymnasium.make(f"caterpillar_env:{name}")
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    env.close()
+
+command = Path(sys.executable).with_name("caterpillar")
+run = [command, "evolve", "--preset", "quick", "--population", "4", "--hall-of-fame", "1"]
+subprocess.run([*run, "--generations", "2", "--out", here / "run"], check=True)
+subprocess.run([command, "replay", here / "run", "--no-video"], check=True)
+assert (here / "run" / "best.mp4").stat().st_size > 10_000
+print("the wheel works outside the checkout")
