@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from caterpillar_env.episodes import Episodes, check_options
 from caterpillar_env.errors import SimulationError
+from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.model import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.rendering import RobotRenderer, has_display
@@ -99,7 +100,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     | `symmetric` | `True` | timing mode: pairs or single springs |
     | `morphology` | nominal | the body: mapping of the eight parameters, eight numbers, or a `Morphology` |
     | `physics` | `{}` | mapping of fields of `Physics` that differ from its defaults; `{"num_segments": 6}`, say |
-    | `gait_period_s` | 3.0 | a whole number of 0.1 s |
+    | `gait_period_s` | 5.0 | a whole number of 0.1 s |
     | `frame_skip` | 1 | switch mode: control intervals of 0.1 s in a step |
     | `episode_s` | 30.0 | simulated length of an episode |
     | `forward_reward_weight`, `ctrl_cost_weight`, `failure_cost` | 100, 0, 5 | see Rewards |
@@ -128,7 +129,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         symmetric: bool = True,
         morphology: Morphology | Mapping[str, float] | Any = None,
         physics: Physics | dict[str, Any] | None = None,
-        gait_period_s: float = 3.0,
+        gait_period_s: float = GAIT_PERIOD_S,
         frame_skip: int = 1,
         episode_s: float = EPISODE_S,
         forward_reward_weight: float = 100.0,

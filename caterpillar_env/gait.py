@@ -17,6 +17,9 @@ from caterpillar_env.errors import TimingError
 
 Array = NDArray[np.float64]
 
+#: Default gait period: a spring takes about 1 s to heat and 2.8 s to cool by nine tenths; six periods
+#: make up the paper's 30 s.
+GAIT_PERIOD_S = 5.0
 SPRINGS_PER_GAP = 4
 PAIRS_PER_GAP = 2
 

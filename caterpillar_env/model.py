@@ -66,9 +66,9 @@ class Physics:
     integrator: Literal["discrete", "implicitfast"] = "discrete"
     solver: Literal["cg", "newton"] = "cg"
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
-    impratio: float = 10.0
-    contact_time_constant_s: float = 0.01
-    solver_tolerance: float = 1e-8
+    impratio: float = 30.0  # grip: less creep at rest
+    contact_time_constant_s: float = 0.02  # at half of it the error at 5 ms doubles
+    solver_tolerance: float = 1e-6
     solver_iterations: int = 100
 
     def __post_init__(self) -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.episodes import Episodes, check_options, morphologies_for
 from caterpillar_env.errors import SimulationError
+from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.rendering import RobotRenderer
@@ -49,7 +50,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         symmetric: bool = True,
         morphology: Any = None,
         physics: Physics | dict[str, Any] | None = None,
-        gait_period_s: float = 3.0,
+        gait_period_s: float = GAIT_PERIOD_S,
         frame_skip: int = 1,
         episode_s: float = EPISODE_S,
         forward_reward_weight: float = 100.0,

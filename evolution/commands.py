@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 from rich.table import Table
 
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.gait import GAIT_PERIOD_S
 from evolution import cli
 from evolution.distributions import TruncatedGaussian
 from evolution.individual import Individual, label
@@ -168,7 +169,7 @@ class PreprocessArgs:
     """Where to draw the densities."""
     floor_ratio: float = 3.0
     """Greatest over least density of a Gaussian; the paper's third is 3."""
-    gait_period_s: float = 3.0
+    gait_period_s: float = GAIT_PERIOD_S
     """Gait period, the upper bound of the times."""
     num_segments: int = 4
     """Segments of the robot."""

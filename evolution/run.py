@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.gait import GaitTimings, whole
+from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, whole
 from caterpillar_env.model import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.task import EPISODE_S, Failure
@@ -46,7 +46,7 @@ class RunConfig:
     prior: Prior = "preprocessed"  #: what genes are drawn from, at first and by mutation
     floor_ratio: float = 3.0  #: greatest over least density of a preprocessed gene
     failed_fitness: float = 0.0  #: "low fitness" of a robot that fails, in metres
-    gait_period_s: float = 3.0
+    gait_period_s: float = GAIT_PERIOD_S
     ga: GaConfig = field(default_factory=GaConfig)
     physics: Physics = field(default_factory=Physics)
 
