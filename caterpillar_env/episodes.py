@@ -129,8 +129,10 @@ class Episodes:
         """Advance some rows by one environment step; a robot that fails stops within it."""
         power = self._power(actions, rows)
         before = self.crawl.progress(rows)
-        self.crawl.run(power, rows, on_interval, trace=on_interval is not None)
-        self._intervals[rows] += power.shape[1] // STEPS_PER_INTERVAL
+        # The last gait period of an episode may be a part of one.
+        left = np.minimum(self._episode_intervals - self._intervals[rows], self._step_intervals)
+        self.crawl.run(power, rows, on_interval, intervals=left)
+        self._intervals[rows] += left
         after = self.crawl.progress(rows)
 
         forward_weight, ctrl_weight, failure_cost = self._weights
@@ -164,17 +166,14 @@ class Episodes:
             )
         if not np.isfinite(array).all():
             raise TimingError(f"actions must be finite; got {actions!r}")
-        left = int((self._episode_intervals - self._intervals[rows]).max())
-        intervals = min(self._step_intervals, max(left, 1))
-        steps = intervals * STEPS_PER_INTERVAL
         if self.action_mode == "switch":
             if not np.isin(array, (0, 1)).all():
                 raise TimingError(f"switch actions must be 0 (off) or 1 (on); got {actions!r}")
-            return np.repeat(array[:, None, :], steps, axis=1)
+            return np.repeat(array[:, None, :], self._step_intervals * STEPS_PER_INTERVAL, axis=1)
         timings = GaitTimings.from_action(np.clip(array, -1.0, 1.0), self.gait_period_s)
         if self.symmetric:
             timings = timings.mirrored()
-        return timings.power(SMA_STEP_S)[:, :steps]
+        return timings.power(SMA_STEP_S)
 
     def _observe(self, rows: Rows) -> NDArray[np.float32]:
         seen = observe(self.crawl, rows, self._unit[rows], self._clock_s)

@@ -29,14 +29,17 @@ SMA_STEP_S = 0.01
 #: Control interval: how often failures are judged and, in switch mode, the power may change.
 CONTROL_INTERVAL_S = 0.1
 
-_INTEGRATORS = {
-    "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
-    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
-}
-_SOLVERS = {"cg": mujoco.mjtSolver.mjSOL_CG, "newton": mujoco.mjtSolver.mjSOL_NEWTON}
-_CONES = {
-    "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
-    "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
+_CHOICES: dict[str, dict[str, Any]] = {
+    "integrator": {
+        "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
+        "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    },
+    "solver": {"cg": mujoco.mjtSolver.mjSOL_CG, "newton": mujoco.mjtSolver.mjSOL_NEWTON},
+    "cone": {
+        "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
+        "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
+    },
+    "bend_axis": {"yaw": [0, 0, 1], "pitch": [0, 1, 0]},
 }
 
 
@@ -80,11 +83,10 @@ class Physics:
             )
         for f in fields(self):
             value = getattr(self, f.name)
-            if f.name in ("bend_axis", "integrator", "solver", "cone"):
-                known = {"bend_axis": ("yaw", "pitch"), "integrator": _INTEGRATORS}
-                choices = known.get(f.name, _SOLVERS if f.name == "solver" else _CONES)
-                if value not in choices:
-                    raise PhysicsError(f"{f.name} = {value!r} must be one of {', '.join(choices)}")
+            if f.name in _CHOICES:
+                if value not in _CHOICES[f.name]:
+                    known = ", ".join(_CHOICES[f.name])
+                    raise PhysicsError(f"{f.name} = {value!r} must be one of {known}")
             elif f.name != "spring" and not (
                 isinstance(value, (int, float)) and math.isfinite(value) and value >= 0
             ):
@@ -195,9 +197,9 @@ def build_model(
 def _set_options(spec: mujoco.MjSpec, p: Physics) -> None:
     option = spec.option
     option.timestep = p.timestep_s
-    option.integrator = _INTEGRATORS[p.integrator]
-    option.solver = _SOLVERS[p.solver]
-    option.cone = _CONES[p.cone]
+    option.integrator = _CHOICES["integrator"][p.integrator]
+    option.solver = _CHOICES["solver"][p.solver]
+    option.cone = _CHOICES["cone"][p.cone]
     option.impratio = p.impratio
     option.tolerance = p.solver_tolerance
     option.iterations = p.solver_iterations
@@ -272,7 +274,7 @@ def _add_intra_segment_joints(body: mujoco.MjsBody, segment: int, m: Morphology,
     )  # fmt: skip
     body.add_joint(
         name=f"bend{segment}", type=mujoco.mjtJoint.mjJNT_HINGE, pos=middle,
-        axis=[0, 0, 1] if p.bend_axis == "yaw" else [0, 1, 0],
+        axis=_CHOICES["bend_axis"][p.bend_axis],
         stiffness=[p.bend_ratio * p.neck_stiffness_n_m_rad, 0, 0],
         damping=[p.bend_ratio * p.neck_damping_n_m_s_rad, 0, 0],
         limited=True, range=[-m.joint_limit_rad, m.joint_limit_rad], solref_limit=limit_solref,

@@ -46,8 +46,7 @@ class Trace(NamedTuple):
     """Poses and temperatures after every thermal step, for drawing."""
 
     qpos: Array  #: MuJoCo generalised positions, (R, K, nq)
-    temperature_c: Array  #: (R, K, num_springs)
-    fraction: Array  #: (R, K, num_springs)
+    temperature_c: Array  #: of the springs, (R, K, num_springs)
 
 
 class Simulation:
@@ -171,7 +170,9 @@ class Simulation:
         if not trace:
             return None
         last = slice(self._substeps - 1, None, self._substeps)
-        return Trace(record["qpos"][:, last], *self._heated(before, power))
+        path = SmaState(heated.enthalpy_j_kg, heated.fraction)
+        temperature = path.temperature_c(self.physics.spring)
+        return Trace(record["qpos"][:, last], np.swapaxes(temperature, 0, 1))
 
     def _control(self, start: Array, fraction: Array) -> Array:
         """Mean fraction during each physics step, linear between thermal steps: (R, K n, springs)."""
@@ -180,15 +181,6 @@ class Simulation:
         fine = nodes[:-1, None] + share * (nodes[1:, None] - nodes[:-1, None])  # (K, n, R, springs)
         flat = fine.reshape(-1, *start.shape)
         return np.ascontiguousarray(np.swapaxes(flat, 0, 1))
-
-    def _heated(self, before: SmaState, power: Array) -> tuple[Array, Array]:
-        """Temperature and fraction after each step, (R, K, springs), by stepping singly."""
-        state, temperatures, fractions = before, [], []
-        for k in range(power.shape[1]):
-            state = advance(self.physics.spring, state, power[None, :, k], SMA_STEP_S).state
-            temperatures.append(state.temperature_c(self.physics.spring))
-            fractions.append(state.fraction)
-        return np.stack(temperatures, axis=1), np.stack(fractions, axis=1)
 
     def _refresh(self, index: Rows) -> None:
         """Make derived fields current; they lag one physics step otherwise."""

@@ -187,6 +187,7 @@ class SmaStep(NamedTuple):
 
     state: SmaState  #: after the last step
     fraction: Array  #: xi after each step, shape (K, *S)
+    enthalpy_j_kg: Array  #: H after each step, likewise
     power: Array  #: share of the drive power really drawn in each step, shape (K, *S)
     loss_j_kg: Array  #: heat given to the air over all steps, shape S
 
@@ -217,7 +218,7 @@ def advance(spring: SmaSpring, state: SmaState, power: Array, step_s: float) -> 
     branches = spring.branches
 
     enthalpy, fraction = state
-    fractions, drawn = np.empty_like(power), np.empty_like(power)
+    fractions, enthalpies, drawn = (np.empty_like(power) for _ in range(3))
     for k in range(power.shape[0]):
         unpowered = enthalpy - decay * (enthalpy - latent * fraction - ambient)
         enthalpy = np.minimum(unpowered + gain * power[k], np.maximum(hot, unpowered))
@@ -229,12 +230,12 @@ def advance(spring: SmaSpring, state: SmaState, power: Array, step_s: float) -> 
             ),
             np.interp(enthalpy, branches.cooling_enthalpy, branches.cooling_fraction),
         )
-        fractions[k] = fraction
+        fractions[k], enthalpies[k] = fraction, enthalpy
     drawn *= 1.0 / gain if gain > 0 else 0.0
     # The balance holds to rounding, because the loss is what is missing from it.
     supplied = spring.heating_w_kg * step_s * drawn.sum(axis=0)
     after = SmaState(enthalpy, fraction)
-    return SmaStep(after, fractions, drawn, supplied - (enthalpy - state.enthalpy_j_kg))
+    return SmaStep(after, fractions, enthalpies, drawn, supplied - (enthalpy - state.enthalpy_j_kg))
 
 
 def spring_force(spring: SmaSpring, length_m: Array, fraction: Array) -> Array:

@@ -151,6 +151,7 @@ class Crawl:
         rows: Rows | None = None,
         on_interval: Callable[[Trace | None], None] | None = None,
         *,
+        intervals: NDArray[np.int64] | None = None,
         trace: bool = False,
     ) -> None:
         """Advance robots by whole control intervals; those that fail stop at the end of one.
@@ -159,6 +160,7 @@ class Crawl:
             power: share of the drive power, (R, intervals * STEPS_PER_INTERVAL, num_springs).
             rows: which robots; all by default. One that has failed already stands still.
             on_interval: called after every interval with its trace (None unless `trace`).
+            intervals: how many control intervals each goes on for at most, (R,); all by default.
             trace: whether to trace what is needed to draw.
 
         Raises:
@@ -173,6 +175,8 @@ class Crawl:
             )
         going = np.flatnonzero(~self._stopped(index))
         for first in range(0, steps, STEPS_PER_INTERVAL):
+            if intervals is not None:
+                going = going[intervals[going] > first // STEPS_PER_INTERVAL]
             if not going.size:
                 break
             chunk = power[going, first : first + STEPS_PER_INTERVAL]

@@ -133,8 +133,10 @@ def evolve(
             fitness = outcomes.fitness(config.failed_fitness)
             optimizer.tell(genomes, fitness)
             _append(folder / "evaluations.csv", number, bodies, timings, outcomes, fitness)
-            top = int(np.argmax(fitness))
-            if best is None or fitness[top] > (best.fitness_m or 0.0):
+            # The best robot is one that did not fail, whatever a failure is worth.
+            crawled = outcomes.fitness(0.0)
+            top = int(np.argmax(crawled))
+            if crawled[top] > (best.fitness_m or 0.0 if best else 0.0):
                 best = Individual.of_genome(
                     genomes[top], config.physics, config.gait_period_s,
                     fitness_m=float(fitness[top]), generation=number,
@@ -145,7 +147,7 @@ def evolve(
             counts = np.bincount(outcomes.failure, minlength=len(Failure))
             told = Generation(
                 number=number,
-                best_m=best.fitness_m or 0.0,
+                best_m=(best.fitness_m or 0.0) if best else 0.0,
                 mean_m=float(fitness.mean()),
                 failures={f.label: int(counts[f]) for f in Failure if f is not Failure.NONE},
                 evaluations=evaluations,
