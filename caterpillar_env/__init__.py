@@ -5,13 +5,27 @@ Importing this package registers `CaterpillarSMA-v0` (one step is one gait perio
 environment for `gymnasium.make_vec`.
 """
 
+import ctypes
 import os
 import sys
 from typing import Any
 
-# Chosen before MuJoCo is imported: without a display only an off-screen backend can draw.
-if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-    os.environ.setdefault("MUJOCO_GL", "egl")
+
+def _choose_drawing_backend() -> None:
+    """Set MUJOCO_GL, which MuJoCo reads when it is imported: off-screen where there is no display."""
+    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform != "linux" or display or "MUJOCO_GL" in os.environ:
+        return
+    for backend, library in (("egl", "libEGL.so.1"), ("osmesa", "libOSMesa.so.8")):
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            continue  # MuJoCo would not even import with a backend that is missing
+        os.environ["MUJOCO_GL"] = backend
+        return
+
+
+_choose_drawing_backend()
 
 import gymnasium as _gymnasium
 

@@ -83,7 +83,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     ## Episode end
     - Termination: the robot *flipped* (mean upward axis inclined by more than 120 degrees), *tipped* (more
       than 60 degrees), *jumped* (lowest point more than 5 mm above the ground), *veered* (heading off by
-      more than 45 degrees or centre of mass more than 60 mm off the starting line), or *diverged* (the
+      more than 45 degrees or centre of mass more than 120 mm off the starting line), or *diverged* (the
       integration broke down). Judged every 0.1 s, within a step too. `info["failure"]` names the
       failure, "ok" if none. With `terminate_on_failure=False` only a divergence ends the episode.
     - Truncation: after `episode_s` (30) simulated seconds.
@@ -220,7 +220,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         if not self._running:
             raise SimulationError("call reset() before step()")
         live = self.render_mode in ("human", "rgb_array_list")
-        step = self._episodes.step(np.asarray(action)[None], _ROW, self._on_interval if live else None)
+        step = self._episodes.step([action], _ROW, self._on_interval if live else None)
         return (
             step.observation[0],
             float(step.reward[0]),

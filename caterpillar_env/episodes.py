@@ -74,7 +74,7 @@ class Episodes:
             ("failure_cost", failure_cost),
             ("reset_noise_scale", reset_noise_scale),
         ):
-            if not (np.isfinite(value) and value >= 0):
+            if not (isinstance(value, (int, float, np.number)) and 0 <= value < np.inf):
                 raise SimulationError(f"{name} must be finite and not negative; got {value!r}")
         self.physics = Physics.of(physics)
         self.action_mode = action_mode
@@ -115,7 +115,8 @@ class Episodes:
         joints = joint_names(self.physics.num_segments)
         scale = np.array([_AXIAL_NOISE_M_RAD if n.startswith("axial") else 1.0 for n in joints])
         drawn = np.array([g.uniform(-1.0, 1.0, len(joints)) for g in generators])
-        self.crawl.reset(morphologies, rows, offset=self._noise * drawn * scale)
+        offset = self._noise * drawn * scale if self._noise else None
+        self.crawl.reset(morphologies, rows, offset=offset)
         self._unit[rows] = [2.0 * m.to_unit() - 1.0 for m in morphologies]
         self._intervals[rows] = 0
         return self._observe(rows), self._info(rows, np.zeros(len(rows)), np.zeros(len(rows)), 0.0)
@@ -152,23 +153,32 @@ class Episodes:
             info=info,
         )
 
-    def _power(self, actions: Any, rows: Rows) -> Array:
-        """Share of the drive power, (R, steps, springs), for the coming environment step."""
+    def checked(self, actions: Any, count: int) -> Array:
+        """The actions of `count` robots as an array.
+
+        Raises:
+            TimingError: wrong shape, not finite, or in switch mode not 0 or 1.
+        """
+        expected = (count, *self.action_space.shape)
         try:
             array = np.asarray(actions, dtype=np.float64)
+            got = f"shape {array.shape}"
         except (TypeError, ValueError):
-            array = np.empty(0)
-        expected = (len(rows), *self.action_space.shape)
+            array, got = np.empty(0), f"no array of numbers: {actions!r}"
         if array.shape != expected:
             raise TimingError(
-                f"actions must be numbers of shape {expected[1:]} (one row per robot: {expected}); "
-                f"got shape {array.shape}"
+                f"actions must be numbers of shape {expected[1:]} a robot, {expected} in all; got {got}"
             )
         if not np.isfinite(array).all():
             raise TimingError(f"actions must be finite; got {actions!r}")
+        if self.action_mode == "switch" and not np.isin(array, (0, 1)).all():
+            raise TimingError(f"switch actions must be 0 (off) or 1 (on); got {actions!r}")
+        return array
+
+    def _power(self, actions: Any, rows: Rows) -> Array:
+        """Share of the drive power, (R, steps, springs), for the coming environment step."""
+        array = self.checked(actions, len(rows))
         if self.action_mode == "switch":
-            if not np.isin(array, (0, 1)).all():
-                raise TimingError(f"switch actions must be 0 (off) or 1 (on); got {actions!r}")
             return np.repeat(array[:, None, :], self._step_intervals * STEPS_PER_INTERVAL, axis=1)
         timings = GaitTimings.from_action(np.clip(array, -1.0, 1.0), self.gait_period_s)
         if self.symmetric:

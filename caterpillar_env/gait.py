@@ -64,9 +64,10 @@ class GaitTimings:
             raise TimingError(f"period_s = {self.period_s!r} must be a positive number of seconds")
         for name in ("on_s", "off_s"):
             times = np.array(getattr(self, name), dtype=np.float64)
-            if not np.all((times >= 0) & (times <= self.period_s)):
+            bad = ~((times >= 0) & (times <= self.period_s))
+            if bad.any():
                 raise TimingError(
-                    f"{name} must lie in [0, {self.period_s:g}] s (the gait period); got {times}"
+                    f"{name} must lie in [0, {self.period_s:g}] s (the gait period); got {times[bad][0]}"
                 )
             times.flags.writeable = False
             object.__setattr__(self, name, times)
@@ -120,7 +121,9 @@ def whole(duration_s: float, step_s: float, what: str) -> int:
     Raises:
         TimingError: not a whole number of steps, or none; `what` names the duration.
     """
-    count = round(duration_s / step_s)
+    finite = isinstance(duration_s, (int, float, np.number)) and np.isfinite(duration_s)
+    count = round(duration_s / step_s) if finite else 0
+    shown = f"{duration_s:g}" if finite else repr(duration_s)
     if count < 1 or abs(count * step_s - duration_s) > 1e-9 * max(1.0, duration_s):
-        raise TimingError(f"{what} of {duration_s:g} s must be a whole multiple of {step_s:g} s")
+        raise TimingError(f"{what} of {shown} s must be a whole multiple of {step_s:g} s")
     return count

@@ -65,6 +65,7 @@ class Physics:
     friction: float = 0.8
     mismatch_std: float = 0.05  # spread of the springs' strength from one to another
     mismatch_seed: int = 0  # which robot of that spread
+    spring_strengths: tuple[float, ...] | None = None  # measured ones, instead of drawn
     timestep_s: float = 0.005
     integrator: Literal["discrete", "implicitfast"] = "discrete"
     solver: Literal["cg", "newton"] = "cg"
@@ -77,27 +78,48 @@ class Physics:
     def __post_init__(self) -> None:
         if isinstance(self.spring, dict):
             object.__setattr__(self, "spring", _from_dict(SmaSpring, self.spring, "spring"))
-        if not isinstance(self.num_segments, int) or not 2 <= self.num_segments <= 64:
+        if not isinstance(self.spring, SmaSpring):
             raise PhysicsError(
-                f"num_segments = {self.num_segments!r} must be a whole number from 2 to 64"
+                f"spring must be an SmaSpring or a mapping of its fields; got {self.spring!r}"
             )
+        for name, lower, upper in (
+            ("num_segments", 2, 64), ("mismatch_seed", 0, 2**63), ("solver_iterations", 1, 10_000),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not isinstance(value, (int, np.integer)) or not lower <= value <= upper:
+                raise PhysicsError(f"{name} = {value!r} must be a whole number from {lower} to {upper}")
+            object.__setattr__(self, name, int(value))
         for f in fields(self):
             value = getattr(self, f.name)
             if f.name in _CHOICES:
-                if value not in _CHOICES[f.name]:
+                if not isinstance(value, str) or value not in _CHOICES[f.name]:
                     known = ", ".join(_CHOICES[f.name])
                     raise PhysicsError(f"{f.name} = {value!r} must be one of {known}")
+            elif f.name == "spring_strengths":
+                self._check_strengths()
             elif f.name != "spring" and not (
                 isinstance(value, (int, float)) and math.isfinite(value) and value >= 0
             ):
                 raise PhysicsError(f"{f.name} = {value!r} must be a finite number, not negative")
-        for name in ("timestep_s", "impratio", "contact_time_constant_s", "solver_iterations"):
+        for name in ("timestep_s", "impratio", "contact_time_constant_s", "axial_range"):
             if getattr(self, name) <= 0:
                 raise PhysicsError(f"{name} = {getattr(self, name)!r} must be positive")
         try:
             whole(SMA_STEP_S, self.timestep_s, "the thermal step")
         except ValueError as error:
             raise PhysicsError(f"timestep_s = {self.timestep_s:g} does not fit: {error}") from None
+
+    def _check_strengths(self) -> None:
+        given = self.spring_strengths
+        if given is None:
+            return
+        ok = isinstance(given, (tuple, list)) and len(given) == self.num_springs
+        if not ok or not all(isinstance(s, (int, float)) and 0 < s < math.inf for s in given):
+            raise PhysicsError(
+                f"spring_strengths must be {self.num_springs} positive numbers, one a spring; "
+                f"got {given}"
+            )
+        object.__setattr__(self, "spring_strengths", tuple(map(float, given)))
 
     @property
     def num_springs(self) -> int:
@@ -122,9 +144,12 @@ class Physics:
     def strengths(self) -> NDArray[np.float64]:
         """Factor on each spring's force, shape (num_springs,): the robot's actuator mismatch.
 
-        Normal about 1 with `mismatch_std`, drawn from `mismatch_seed`; never below a tenth. Mirrored
-        gaits of a perfect robot would never turn, and the paper's yaw criterion would be inert.
+        `spring_strengths` where given, else normal about 1 with `mismatch_std`, drawn from
+        `mismatch_seed`; never below a tenth. Mirrored gaits of a perfect robot would never turn, and the
+        paper's yaw criterion would be inert.
         """
+        if self.spring_strengths is not None:
+            return np.array(self.spring_strengths)
         rng = np.random.default_rng(np.random.SeedSequence(self.mismatch_seed, spawn_key=(0x5A,)))
         draw: NDArray[np.float64] = rng.standard_normal(self.num_springs)
         return np.maximum(1.0 + self.mismatch_std * draw, 0.1)

@@ -67,10 +67,8 @@ class Morphology:
     def __post_init__(self) -> None:
         for p in PARAMETERS:
             value = getattr(self, p.name)
-            try:
-                number = float(value)
-            except (TypeError, ValueError):
-                number = float("nan")
+            is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+            number = float(value) if is_number else float("nan")
             if not p.lower <= number <= p.upper:
                 raise MorphologyError(
                     f"{p.name} = {value!r} is not in [{p.lower:g}, {p.upper:g}] {p.unit} "

@@ -120,7 +120,6 @@ class Simulation:
                 self._radius[row] = morphology.segment_radius_m
         self._batch.set_models(self._models)
         self._batch.reset(index, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
-        self._batch.warning[index] = 0
         half = heading_rad / 2
         if heading_rad != 0.0:
             self._qpos[index, 3:FREE_QPOS] = [np.cos(half), 0.0, 0.0, np.sin(half)]
@@ -131,6 +130,27 @@ class Simulation:
         self._steps[index] = 0
         self.energy_j[index] = 0.0
         self._ready[index] = True
+        self._refresh(index)
+        if offset is not None:  # the lowest foot stands on the ground again
+            self._qpos[index, 2] -= self.state(index).clearance_m
+            self._refresh(index)
+
+    def place(self, qpos: Array, rows: Rows | None = None) -> None:
+        """Move robots that have been reset to other poses, at rest.
+
+        Args:
+            qpos: MuJoCo generalised positions, (R, nq): position and unit quaternion of the head, then
+                the internal joints (`model.joint_names`).
+            rows: which rows; all by default.
+
+        Raises:
+            SimulationError: wrong shape.
+        """
+        index = self._rows(rows)
+        expected = (len(index), self._qpos.shape[1])
+        if qpos.shape != expected:
+            raise SimulationError(f"qpos must have shape {expected}; got {qpos.shape}")
+        self._qpos[index], self._qvel[index] = qpos, 0.0
         self._refresh(index)
 
     def advance(self, power: Array, rows: Rows | None = None, *, trace: bool = False) -> Trace | None:

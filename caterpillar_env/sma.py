@@ -61,7 +61,8 @@ class SmaSpring:
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
             value = getattr(self, name)
-            if not isinstance(value, (int, float)) or not math.isfinite(value):
+            number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not number or not math.isfinite(value):
                 raise PhysicsError(f"{name} = {value!r} must be a finite number")
             if value <= 0 and name not in ("latent_heat_j_kg", "ambient_c", "drive_current_a"):
                 raise PhysicsError(f"{name} = {value:g} must be positive")

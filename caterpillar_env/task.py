@@ -55,7 +55,9 @@ class Thresholds:
     tipped_up: float = 0.5  #: tipped below (inclined by more than 60 degrees)
     jumped_clearance_m: float = 0.005  #: jumped when the lowest point is above
     veered_heading_rad: float = np.pi / 4  #: veered when the heading is off by more
-    veered_lateral_m: float = 0.06  #: veered when the centre of mass is off the line by more
+    veered_lateral_m: float = (
+        0.12  #: veered when the centre of mass is off the line by more: a body length
+    )
 
 
 def judge(

@@ -134,11 +134,10 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
                 f"reset_mask must be a bool array of shape ({self.num_envs},) with a True in it; "
                 f"got {mask}"
             )
-        if "morphology" in chosen:
-            bodies = morphologies_for(chosen["morphology"], self.num_envs)
-            for row in np.flatnonzero(mask):
-                self._morphologies[row] = bodies[row]
+        bodies = morphologies_for(chosen.get("morphology", self._morphologies), self.num_envs)
         self._seed(seed, mask)
+        for row in np.flatnonzero(mask):
+            self._morphologies[row] = bodies[row]
         info = self._start(np.flatnonzero(mask))
         return self._observations.copy(), info
 
@@ -161,11 +160,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         """Advance all rows by one step; see `autoreset_mode` for those whose episode has ended."""
         if not self._generators:
             raise SimulationError("call reset() before step()")
-        actions = np.asarray(actions)
-        if actions.shape[:1] != (self.num_envs,):
-            raise SimulationError(
-                f"actions must have shape {self.action_space.shape}; got {actions.shape}"
-            )
+        actions = self._episodes.checked(actions, self.num_envs)
         if self._mode is AutoresetMode.DISABLED and self._done.any():
             raise SimulationError(
                 f"rows {np.flatnonzero(self._done).tolist()} have ended: reset them with "
@@ -196,11 +191,12 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
                 final_obs[row] = self._observations[row].copy()
             final_info: dict[str, Any] = {}
             self._merge(final_info, {k: v[ended] for k, v in info.items() if k[0] != "_"}, ended)
-            self._start(ended, info)
-            info |= {"final_obs": final_obs, "_final_obs": self._done.copy()}
-            info |= {"final_info": final_info, "_final_info": self._done.copy()}
-            # The rows go on: only what this call returns tells of the end.
-            self._done = np.zeros(self.num_envs, dtype=bool)
+            mask = self._done.copy()
+            for key in ("reward_failure", "_reward_failure"):
+                info[key][ended] = 0  # of the episode that is over, told in final_info
+            self._start(ended, info)  # the rows go on: only what this call returns tells of the end
+            info |= {"final_obs": final_obs, "_final_obs": mask}
+            info |= {"final_info": final_info, "_final_info": mask.copy()}
         return self._observations.copy(), rewards, terminated, truncated, info
 
     def _start(self, rows: NDArray[np.intp], info: dict[str, Any] | None = None) -> dict[str, Any]:

@@ -29,17 +29,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one subcommand; the exit status is 0, 1 (an error), 2 (wrong usage) or 130 (Ctrl-C)."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     commands = {e.name: e for e in entry_points(group="caterpillar.commands")}
-    if not arguments or arguments[0] in ("-h", "--help", "help"):
+    if arguments[:1] in (["-h"], ["--help"], ["help"]):
         print(_overview(sorted(commands)))
-        return 0 if arguments else 2
-    if arguments[0] == "--version":
+        return 0
+    if arguments[:1] == ["--version"]:
         print(version("caterpillar-sma"))
         return 0
-    name, *rest = arguments
+    name, *rest = arguments or [""]
     if name not in commands:
+        what = f"no subcommand {name!r}" if name else "a subcommand is missing"
+        known = ", ".join(sorted(commands))
         print(
-            f"caterpillar: error: no subcommand {name!r}; choose from {', '.join(sorted(commands))}",
-            file=sys.stderr,
+            f"caterpillar: error: {what}; choose from {known} (see caterpillar --help)", file=sys.stderr
         )
         return 2
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import sys
 from collections.abc import Sequence
@@ -50,7 +51,7 @@ def evolve_command(argv: Sequence[str]) -> int:
     if args.threads < 0:
         raise CaterpillarError(f"threads = {args.threads} must not be negative; 0 is all cores")
     folder = args.out or _unused(Path("runs"), f"{args.config.prior}-seed{args.config.seed}")
-    console = Console(stderr=True)
+    console = _console()
     with _Reporter(args.config, console) as reporter:
         result = evolve(
             args.config, folder, threads=args.threads,
@@ -62,11 +63,16 @@ def evolve_command(argv: Sequence[str]) -> int:
 
 def _preset(argv: Sequence[str]) -> str:
     """The preset named in the arguments: it makes the defaults for all other flags."""
-    for flag, value in zip(argv, [*argv[1:], ""], strict=True):
+    for flag, value in itertools.pairwise([*argv, ""]):
         name = value if flag == "--preset" else flag.removeprefix("--preset=")
         if flag.startswith("--preset") and name in PRESETS:
             return name
     return "paper"
+
+
+def _console() -> Console:
+    """Where progress and remarks go; folders' names are no markup."""
+    return Console(stderr=True, markup=False, highlight=False)
 
 
 def _unused(parent: Path, name: str) -> Path:
@@ -144,9 +150,9 @@ class _Reporter:
         )
         if self._bar is None or self._task is None:
             left = told.elapsed_s / told.evaluations * (self._config.evaluations() - told.evaluations)
-            self._console.print(f"{line}  left {left / 60:.1f} min", highlight=False, soft_wrap=True)
+            self._console.print(f"{line}  left {left / 60:.1f} min", soft_wrap=True)
         else:
-            self._console.print(line, highlight=False)
+            self._console.print(line)
             self._bar.update(
                 self._task, completed=told.evaluations, description=f"generation {told.number + 1}"
             )
@@ -185,12 +191,14 @@ def preprocess_command(argv: Sequence[str]) -> int:
     if args.json:
         print(json.dumps([prior.to_dict() for prior in priors], indent=2))
     else:
-        Console().print(_table(priors, [k.name for k in design_parameters(physics)]))
+        Console(width=None if sys.stdout.isatty() else 160).print(
+            _table(priors, [k.name for k in design_parameters(physics)])
+        )
     try:
         plots.densities(priors, args.out)
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise CaterpillarError(
-            f"cannot write {args.out}: {error.strerror}; choose another file with --out"
+            f"cannot write {args.out}: {error}; choose another file with --out"
         ) from None
     print(f"densities drawn in {args.out}", file=sys.stderr)
     return 0
@@ -253,7 +261,7 @@ def replay_command(argv: Sequence[str]) -> int:
         print(f"fitness {fitness!r} m ({said['failure']}), {said['energy_j']:.1f} J, {_verdict(said)}")
     if args.video:
         folder = args.source if args.source.is_dir() else args.source.parent
-        _film(individual, folder / "replay.mp4", Console(stderr=True), args.timestep)
+        _film(individual, folder / "replay.mp4", _console(), args.timestep)
     return 0
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings, pair_names
 from caterpillar_env.model import Physics
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.task import Failure
 from evolution.fitness import Outcomes, simulate
 from evolution.genome import decode
@@ -43,6 +45,19 @@ class Individual:
         morphologies, timings = decode(genome[None], physics.num_segments, period_s)
         gait = GaitTimings(period_s, timings.on_s[0], timings.off_s[0])
         return cls(morphologies[0], gait, physics, **record)
+
+    @classmethod
+    def of_row(cls, row: Mapping[str, str], physics: Physics, period_s: float) -> Individual:
+        """The individual of a row of `evaluations.csv`, the columns by name."""
+        pairs = pair_names(physics.num_segments)
+        on, off = (np.array([float(row[f"{p}_{edge}_s"]) for p in pairs]) for edge in ("on", "off"))
+        return cls(
+            Morphology.of({name: float(row[name]) for name in NAMES}),
+            GaitTimings(period_s, on, off),
+            physics,
+            fitness_m=float(row["fitness_m"]),
+            generation=int(row["generation"]),
+        )
 
     def simulate(self, timestep_s: float | None = None, **kwargs: Any) -> Outcomes:
         """Let it crawl once more, at its own timestep or another; keywords as for `fitness.simulate`."""
@@ -87,8 +102,8 @@ class Individual:
                 raise IndividualError(f"gait.pairs must be {', '.join(names)}; got {', '.join(pairs)}")
             timings = GaitTimings(
                 data["gait"]["period_s"],
-                np.array([pairs[n]["on_s"] for n in names], dtype=np.float64),
-                np.array([pairs[n]["off_s"] for n in names], dtype=np.float64),
+                np.array([float(pairs[n]["on_s"]) for n in names]),
+                np.array([float(pairs[n]["off_s"]) for n in names]),
             )
             return cls(
                 Morphology.of(data["morphology"]),
@@ -97,12 +112,16 @@ class Individual:
                 data.get("fitness_m"),
                 data.get("generation"),
             )
-        except (KeyError, TypeError) as error:
+        except CaterpillarError:
+            raise
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise IndividualError(f"the individual lacks or garbles {error}") from None
 
     def save(self, path: Path) -> None:
         """Write `path`."""
-        path.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
+        partial = path.with_name(f".{path.name}.partial")
+        partial.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
+        os.replace(partial, path)
 
     @classmethod
     def load(cls, path: Path) -> Individual:
@@ -111,8 +130,9 @@ class Individual:
         Raises:
             CaterpillarError: no such file, no JSON, or no individual in it.
         """
-        file = path / "best.json" if path.is_dir() else path
+        file = path
         try:
+            file = path / "best.json" if path.is_dir() else path
             data = json.loads(file.read_text(encoding="utf-8"))
         except OSError as error:
             raise IndividualError(f"cannot read {file}: {error.strerror}") from None
@@ -124,6 +144,6 @@ class Individual:
             raise IndividualError(f"{file}: {error}") from None
 
 
-def label(failure: int) -> str:
+def label(failure: int | np.integer[Any]) -> str:
     """Name of a failure code, "ok" for none."""
-    return Failure(failure).label
+    return Failure(int(failure)).label

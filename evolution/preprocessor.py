@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.model import Physics
+from caterpillar_env.gait import whole
+from caterpillar_env.model import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.morphology import Morphology
 from evolution.distributions import Distribution, TruncatedGaussian, Uniform
 from evolution.genome import Gene, genes
@@ -181,8 +182,10 @@ def preprocess(
     Raises:
         CaterpillarError: a K_i names a gene that is not in the table, see also `best_node`.
     """
-    if not floor_ratio > 1:
-        raise CaterpillarError(f"floor_ratio = {floor_ratio!r} must be greater than 1")
+    if not 1 < floor_ratio < np.inf:
+        raise CaterpillarError(f"floor_ratio = {floor_ratio!r} must be a number greater than 1")
+    if len({k.name for k in parameters}) < len(parameters):
+        raise CaterpillarError("two design parameters have one name; give each its own")
     bounds = {gene.name: (gene.lower, gene.upper) for gene in table}
     unknown = set(itertools.chain(*(k.gene_names for k in parameters))) - set(bounds)
     if unknown:
@@ -206,5 +209,6 @@ def _prior(gene: Gene, peaks: Mapping[str, Mapping[str, float]], floor_ratio: fl
 
 def paper_priors(physics: Physics, period_s: float, floor_ratio: float = 3.0) -> list[GenePrior]:
     """The preprocessor's answer for this robot: Table I."""
+    whole(period_s, CONTROL_INTERVAL_S, "gait_period_s")
     table = genes(physics.num_segments, period_s)
     return preprocess(design_parameters(physics), table, floor_ratio)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import time
 from collections.abc import Callable
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, whole
+from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
 from caterpillar_env.model import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.task import EPISODE_S, Failure
@@ -57,9 +58,8 @@ class RunConfig:
             raise RunError(f"generations = {self.generations} must be at least 1")
         if self.prior not in ("preprocessed", "uniform"):
             raise RunError(f'prior = {self.prior!r} must be "preprocessed" or "uniform"')
-        if not self.failed_fitness >= 0:
-            raise RunError(f"failed_fitness = {self.failed_fitness} must not be negative")
-        whole(self.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
+        if not 0 <= self.failed_fitness < np.inf:
+            raise RunError(f"failed_fitness = {self.failed_fitness} must be finite and not negative")
         paper_priors(self.physics, self.gait_period_s, self.floor_ratio)
 
     def to_dict(self) -> dict[str, Any]:
@@ -212,11 +212,13 @@ def _append(
 ) -> None:
     """One row per evaluation, SI units; repr keeps every bit of a float."""
     times = np.stack([timings.on_s, timings.off_s], axis=-1).reshape(len(bodies), -1)
+    rows = io.StringIO()
+    writer = csv.writer(rows, lineterminator="\n")
+    for i, body in enumerate(bodies):
+        writer.writerow(
+            [generation, i, Failure(outcomes.failure[i]).label]
+            + [repr(float(a[i])) for a in (fitness, *outcomes[1:])]
+            + [repr(float(v)) for v in (*body.to_array(), *times[i])]
+        )
     with path.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        for i, body in enumerate(bodies):
-            writer.writerow(
-                [generation, i, Failure(outcomes.failure[i]).label]
-                + [repr(float(a[i])) for a in (fitness, *outcomes[1:])]
-                + [repr(float(v)) for v in (*body.to_array(), *times[i])]
-            )
+        file.write(rows.getvalue())

@@ -59,6 +59,7 @@ def write_video(
     model = build_model(individual.morphology, physics, physics.strengths())
     try:
         renderer = RobotRenderer(model, mujoco.MjData(model), physics.spring, width, height)
+        renderer.draw(qpos[0], temperature_c[0], "rgb_array")
     except Exception as error:  # whatever the drawing backend raises
         raise VideoError(
             f"cannot draw off-screen ({error}); install EGL (Debian: libegl1) or set MUJOCO_GL=osmesa"
@@ -66,7 +67,7 @@ def write_video(
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     writer = imageio_ffmpeg.write_frames(
         str(partial), (width, height), fps=FRAMES_PER_SECOND, macro_block_size=2, quality=7,
-        output_params=["-loglevel", "error"],
+        output_params=["-loglevel", "quiet"],
     )  # fmt: skip
     try:
         writer.send(None)

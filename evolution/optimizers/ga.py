@@ -118,6 +118,8 @@ class GeneticAlgorithm:
             raise OptimizerError("tell takes exactly the genomes that ask gave, in their order")
         if fitness.shape != (len(genomes),):
             raise OptimizerError(f"fitness must have shape ({len(genomes)},); got {fitness.shape}")
+        if not (np.isfinite(fitness).all() and (fitness >= 0).all()):
+            raise OptimizerError("fitness must be finite and not negative; a failure needs a value too")
         everyone = np.concatenate([self._elite_genomes, genomes])
         scores = np.concatenate([self._elite_fitness, fitness])
         order = np.argsort(-scores, kind="stable")  # of equals the older stays in front

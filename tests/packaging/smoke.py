@@ -13,7 +13,9 @@ import caterpillar_env
 here = Path(__file__).parent
 assert here not in Path(caterpillar_env.__file__).parents, "imported from the checkout"
 
-top_level = {path.parts[0] for path in files("caterpillar-sma") or [] if path.suffix in (".py", ".typed")}
+top_level = {
+    path.parts[0] for path in files("caterpillar-sma") or [] if path.suffix in (".py", ".typed")
+}
 assert top_level == {"caterpillar_env", "evolution", "baselines"}, top_level
 assert Path(caterpillar_env.__file__).with_name("py.typed").exists()
 

@@ -1,0 +1,346 @@
+import math
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+
+from caterpillar_env import CaterpillarEnv, Morphology, MorphologyError, Physics, SimulationError
+from caterpillar_env.errors import CaterpillarError, PhysicsError, TimingError
+from caterpillar_env.morphology import LOWER, UPPER
+from caterpillar_env.task import Thresholds
+
+SMALL = Morphology(segment_length_m=0.024, segment_radius_m=0.010, joint_limit_rad=0.4)
+ALL_ON, ALL_OFF = np.ones(12, np.int8), np.zeros(12, np.int8)
+
+
+def timing_env(**kwargs):
+    """An environment whose gait period is one second, at its start."""
+    env = CaterpillarEnv(**{"gait_period_s": 1.0, **kwargs})
+    env.reset(seed=0)
+    return env
+
+
+def switch_env(**kwargs):
+    env = CaterpillarEnv(action_mode="switch", **kwargs)
+    env.reset(seed=0)
+    return env
+
+
+def fail_at_once(env):
+    """Make everything count as clear of the ground."""
+    env._episodes.crawl.thresholds = Thresholds(jumped_clearance_m=-1.0)
+    return env
+
+
+def some_action(env, seed=1):
+    env.action_space.seed(seed)
+    return env.action_space.sample()
+
+
+# Spaces
+
+
+@pytest.mark.parametrize("segments", [2, 4, 6])
+def test_spaces_follow_from_the_number_of_segments(segments):
+    gaps, joints = segments - 1, 3 * segments - 1
+    senses = 2 * joints + 3 + 2 + 1 + 6 + 2 * 4 * gaps + 8
+    pairs = CaterpillarEnv(physics={"num_segments": segments})
+    single = CaterpillarEnv(physics={"num_segments": segments}, symmetric=False)
+    switch = CaterpillarEnv(physics={"num_segments": segments}, action_mode="switch")
+    assert pairs.action_space == gymnasium.spaces.Box(-1, 1, (4 * gaps,), np.float32)
+    assert single.action_space == gymnasium.spaces.Box(-1, 1, (8 * gaps,), np.float32)
+    assert switch.action_space == gymnasium.spaces.MultiBinary(4 * gaps)
+    assert pairs.observation_space.shape == (senses,)
+    assert switch.observation_space.shape == (senses + 2,)  # the phase
+
+
+def test_documented_sizes_for_four_segments():
+    assert CaterpillarEnv().observation_space.shape == (66,)
+    assert CaterpillarEnv(action_mode="switch").observation_space.shape == (68,)
+
+
+def test_first_observation_is_the_start():
+    env = CaterpillarEnv(action_mode="switch", morphology=SMALL)
+    observation, info = env.reset(seed=0)
+    seen = dict(zip(env.observation_names, observation.tolist(), strict=True))
+    unit = 2 * (SMALL.to_array() - LOWER) / (UPPER - LOWER) - 1
+    expected = {"up:z": 1, "heading:cos": 1, "phase:cos": 1, "height": 0.020 / 0.024}
+    expected |= {f"morphology:{n}": u for n, u in zip(SMALL.to_dict(), unit, strict=True)}
+    for name, value in seen.items():
+        assert value == pytest.approx(expected.get(name, 0.0), abs=1e-6), name
+    assert info["failure"] == "ok"
+    assert info["time_s"] == info["energy_j"] == info["distance"] == 0
+
+
+# Steps
+
+
+def test_step_of_timings_is_a_gait_period():
+    env = timing_env()
+    assert env.dt == 1.0
+    *_, info = env.step(some_action(env))
+    assert info["time_s"] == pytest.approx(1.0)
+
+
+def test_step_of_switches_is_frame_skip_intervals():
+    env = switch_env(frame_skip=3)
+    assert env.dt == pytest.approx(0.3)
+    *_, info = env.step(ALL_OFF)
+    assert info["time_s"] == pytest.approx(0.3)
+
+
+def test_pair_action_powers_left_and_right_alike():
+    action = np.full(12, -1.0)
+    action[2:4] = [-1.0, 0.0]  # the ventral pair of gap 1, for the first half
+    env = timing_env()
+    observation, *_, info = env.step(action)
+    hot = [
+        n for n, v in zip(env.observation_names, observation, strict=True) if n[:4] == "temp" and v > 0
+    ]
+    assert hot == ["temperature:gap1_ventral_left", "temperature:gap1_ventral_right"]
+    watt = 0.35**2 * 0.98e-6 / (math.pi * 0.15e-3**2 / 4) * 100 * math.pi * 0.47e-3
+    assert info["energy_j"] == pytest.approx(2 * watt * 0.5)
+
+
+def test_without_symmetry_each_spring_has_its_own_times():
+    action = np.full(24, -1.0)
+    action[6:8] = [0.0, 1.0]  # the fourth spring, for the second half
+    env = timing_env(symmetric=False)
+    observation, *_ = env.step(action)
+    hot = [
+        n for n, v in zip(env.observation_names, observation, strict=True) if n[:4] == "temp" and v > 0
+    ]
+    assert hot == ["temperature:gap1_ventral_right"]
+
+
+def test_symmetric_and_single_springs_agree_on_one_gait():
+    pairs, single = timing_env(), timing_env(symmetric=False)
+    action = some_action(pairs)
+    one = pairs.step(action)
+    other = single.step(np.repeat(action.reshape(6, 2), 2, axis=0).ravel())
+    np.testing.assert_array_equal(one[0], other[0])
+
+
+def test_switched_springs_are_those_of_the_action():
+    env = switch_env()
+    action = ALL_OFF.copy()
+    action[[0, 7]] = 1
+    observation, *_ = env.step(action)
+    hot = [
+        n for n, v in zip(env.observation_names, observation, strict=True) if n[:4] == "temp" and v > 0
+    ]
+    assert hot == ["temperature:gap1_dorsal_left", "temperature:gap2_ventral_right"]
+
+
+def test_actions_beyond_the_box_are_clipped():
+    one, other = timing_env(), timing_env()
+    action = 3 * some_action(one)
+    np.testing.assert_array_equal(one.step(action)[0], other.step(np.clip(action, -1, 1))[0])
+
+
+# Reward
+
+
+def test_return_is_the_distance_in_centimetres():
+    env = timing_env(episode_s=3.0)
+    total, truncated = 0.0, False
+    while not truncated:
+        _, reward, _, truncated, info = env.step(some_action(env))
+        assert reward == info["reward_forward"]
+        total += reward
+    assert abs(total) > 0.01
+    assert total == pytest.approx(100 * info["distance"])
+
+
+def test_energy_costs_its_weight():
+    env = switch_env(forward_reward_weight=0.0, ctrl_cost_weight=2.0, frame_skip=5)
+    env.step(ALL_ON)
+    _, reward, *_, info = env.step(ALL_ON)
+    watt = 12 * 0.35**2 * 0.98e-6 / (math.pi * 0.15e-3**2 / 4) * 100 * math.pi * 0.47e-3
+    assert reward == pytest.approx(-2.0 * watt * 0.5)
+    assert info["reward_ctrl"] == reward
+    assert info["energy_j"] == pytest.approx(watt * 1.0)
+
+
+def test_failure_costs_once():
+    env = fail_at_once(
+        switch_env(failure_cost=7.0, forward_reward_weight=0.0, terminate_on_failure=False)
+    )
+    rewards = [env.step(ALL_OFF)[1] for _ in range(3)]
+    assert rewards == [-7.0, 0.0, 0.0]
+
+
+def test_velocity_is_the_mean_over_the_step():
+    env = timing_env()
+    _, before = env.reset(seed=0)
+    *_, info = env.step(some_action(env))
+    assert info["x_velocity"] == pytest.approx(info["x_position"] - before["x_position"])
+    assert info["y_velocity"] == pytest.approx(info["y_position"] - before["y_position"])
+    assert info["distance_from_origin"] == pytest.approx(
+        math.hypot(info["x_velocity"], info["y_velocity"])
+    )
+
+
+# Ends
+
+
+def test_failure_ends_the_episode_within_the_step():
+    env = fail_at_once(timing_env())
+    _, reward, terminated, truncated, info = env.step(some_action(env))
+    assert terminated
+    assert not truncated
+    assert info["failure"] == "jumped"
+    assert info["time_s"] == pytest.approx(0.1)
+    assert info["reward_failure"] == -5
+    assert reward == pytest.approx(info["reward_forward"] - 5)
+
+
+def test_failure_may_be_survived():
+    env = fail_at_once(timing_env(terminate_on_failure=False))
+    _, _, terminated, _, info = env.step(some_action(env))
+    assert not terminated
+    assert info["failure"] == "jumped"
+    assert info["time_s"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("terminate", [True, False])
+def test_divergence_always_ends_the_episode(terminate, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo logs its warning in the working directory
+    env = switch_env(terminate_on_failure=terminate)
+    env._episodes.crawl.simulation._qpos[0] = np.nan
+    observation, reward, terminated, truncated, info = env.step(ALL_OFF)
+    assert (terminated, truncated) == (True, False)
+    assert info["failure"] == "diverged"
+    assert math.isfinite(reward)
+    assert observation in env.observation_space
+    assert env.reset()[1]["failure"] == "ok"
+
+
+def test_episode_is_truncated_at_its_length():
+    env = timing_env(episode_s=2.5)
+    ends = [env.step(np.full(12, -1.0))[2:] for _ in range(3)]
+    assert [(e[0], e[1]) for e in ends] == [(False, False), (False, False), (False, True)]
+    assert ends[-1][2]["time_s"] == pytest.approx(2.5)  # the last step is shorter
+
+
+def test_default_episode_is_thirty_seconds():
+    env = switch_env()
+    env._episodes._intervals[0] = 298  # of 0.1 s
+    assert env.step(ALL_OFF)[3] is False
+    assert env.step(ALL_OFF)[3] is True
+
+
+# Reset
+
+
+def test_noise_moves_joints_by_its_scale():
+    env = CaterpillarEnv(reset_noise_scale=0.05)
+    quiet, noisy = CaterpillarEnv().reset(seed=3)[0], env.reset(seed=3)[0]
+    moved = dict(zip(env.observation_names, (noisy - quiet).tolist(), strict=True))
+    hinges = [abs(v) * 0.3 for n, v in moved.items() if n.startswith(("position:bend", "position:neck"))]
+    axials = [abs(v) * 0.003 for n, v in moved.items() if n.startswith("position:axial")]
+    assert 0.02 < max(hinges) <= 0.05
+    assert 1e-4 < max(axials) <= 5e-4  # 1 cm per unit of noise
+
+
+def test_new_body_is_kept_until_replaced():
+    env = timing_env()
+    env.reset(options={"morphology": SMALL.to_dict()})
+    for _ in range(2):
+        observation, _ = env.reset()
+        assert env.morphology == SMALL
+        assert observation[env.observation_names.index("height")] == pytest.approx(0.020 / 0.024)
+    env.reset(options={"morphology": Morphology().to_array()})
+    assert env.morphology == Morphology()
+
+
+def test_refused_body_leaves_the_old_one():
+    env = timing_env(morphology=SMALL)
+    with pytest.raises(MorphologyError, match="joint_limit_rad"):
+        env.reset(options={"morphology": {**SMALL.to_dict(), "joint_limit_rad": 2.0}})
+    assert env.morphology == SMALL
+
+
+def test_pickled_environment_runs_alike():
+    env = timing_env(morphology=SMALL.to_dict(), reset_noise_scale=0.01)
+    twin = pickle.loads(pickle.dumps(env))
+    start, _ = env.reset(seed=5)
+    twin_start, _ = twin.reset(seed=5)
+    np.testing.assert_array_equal(start, twin_start)
+    action = some_action(env)
+    np.testing.assert_array_equal(env.step(action)[0], twin.step(action)[0])
+
+
+# Errors
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.zeros(11), r"shape \(12,\).*got shape \(1, 11\)"),
+        (np.zeros((1, 12)), r"shape \(12,\)"),
+        (np.full(12, np.nan), "must be finite"),
+        (np.array([0.0] * 11 + [np.inf]), "must be finite"),
+        (None, r"shape \(12,\)"),
+        (["on"] * 12, r"shape \(12,\)"),
+    ],
+    ids=["short", "deep", "nan", "inf", "none", "text"],
+)
+def test_unusable_action_is_refused_and_nothing_moves(action, message):
+    env = timing_env()
+    with pytest.raises(TimingError, match=message):
+        env.step(action)
+    assert env._episodes.crawl.simulation.simulated_s == 0
+
+
+@pytest.mark.parametrize("value", [0.5, 2, -1])
+def test_switch_actions_are_on_or_off(value):
+    env = switch_env()
+    with pytest.raises(TimingError, match=r"0 \(off\) or 1 \(on\)"):
+        env.step(np.full(12, value))
+
+
+def test_step_needs_a_reset():
+    with pytest.raises(SimulationError, match=r"call reset\(\) before step\(\)"):
+        CaterpillarEnv().step(np.zeros(12))
+
+
+def test_unknown_option_is_told_with_the_known_ones():
+    env = timing_env()
+    with pytest.raises(CaterpillarError, match=r"morphology; got \['body'\]"):
+        env.reset(options={"body": SMALL})
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "error", "message"),
+    [
+        ({"action_mode": "torque"}, SimulationError, 'action_mode must be "timing" or "switch"'),
+        ({"frame_skip": 0}, SimulationError, "frame_skip must be a whole number"),
+        ({"frame_skip": 1.5}, SimulationError, "frame_skip must be a whole number"),
+        ({"failure_cost": -1.0}, SimulationError, "failure_cost must be finite and not negative"),
+        ({"ctrl_cost_weight": math.nan}, SimulationError, "ctrl_cost_weight must be finite"),
+        ({"reset_noise_scale": math.inf}, SimulationError, "reset_noise_scale must be finite"),
+        (
+            {"gait_period_s": 0.25},
+            TimingError,
+            "gait_period_s of 0.25 s must be a whole multiple of 0.1",
+        ),
+        ({"episode_s": 0.0}, TimingError, "episode_s of 0 s must be a whole multiple"),
+        ({"physics": {"legs": 6}}, PhysicsError, "got legs"),
+        ({"morphology": [1, 2]}, MorphologyError, "8 numbers"),
+        ({"render_mode": "ascii"}, SimulationError, "render_mode must be None or one of .*rgb_array"),
+        ({"threads": -1}, SimulationError, "threads >= 0"),
+    ],
+    ids=lambda v: str(v) if isinstance(v, dict) else "",
+)
+def test_unusable_argument_is_refused_with_the_reason(kwargs, error, message):
+    with pytest.raises(error, match=message):
+        CaterpillarEnv(**kwargs)
+
+
+def test_physics_reaches_the_robot():
+    env = CaterpillarEnv(physics={"friction": 0.5, "spring": {"ambient_c": 20.0}})
+    assert env._episodes.physics == Physics.of({"friction": 0.5, "spring": {"ambient_c": 20.0}})
+    env.reset(seed=0)
+    assert env._episodes.crawl.simulation.state().temperature_c[0, 0] == 20

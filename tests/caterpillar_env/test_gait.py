@@ -1,0 +1,169 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from caterpillar_env import GaitTimings, TimingError
+from caterpillar_env.gait import mirror, pair_names, spring_names, whole
+
+PERIOD_S = 3.0
+TIMES = st.floats(0, PERIOD_S)
+
+
+def shares(on_s, off_s, period_s=1.0, step_s=0.1):
+    """Power of one spring over a period."""
+    return GaitTimings(period_s, [on_s], [off_s]).power(step_s)[:, 0]
+
+
+def test_springs_are_named_gap_by_gap_from_the_head():
+    assert spring_names(2) == [
+        "gap1_dorsal_left",
+        "gap1_dorsal_right",
+        "gap1_ventral_left",
+        "gap1_ventral_right",
+    ]
+    assert spring_names(4)[4] == "gap2_dorsal_left"
+    assert len(spring_names(4)) == 12
+    assert pair_names(3) == ["gap1_dorsal", "gap1_ventral", "gap2_dorsal", "gap2_ventral"]
+
+
+def test_mirror_gives_left_and_right_the_value_of_their_pair():
+    assert mirror(np.array([[1, 2], [3, 4]])).tolist() == [[1, 1, 2, 2], [3, 3, 4, 4]]
+
+
+def test_mirrored_timings_follow_the_order_of_the_springs():
+    springs = GaitTimings(1.0, [0.1, 0.2], [0.3, 0.4]).mirrored()
+    assert springs.on_s.tolist() == [0.1, 0.1, 0.2, 0.2]
+    assert springs.off_s.tolist() == [0.3, 0.3, 0.4, 0.4]
+
+
+def test_power_is_on_from_on_to_off_with_shares_of_partial_steps():
+    np.testing.assert_allclose(
+        shares(0.15, 0.42), [0, 0.5, 1, 1, 0.2, 0, 0, 0, 0, 0], atol=1e-12, rtol=0
+    )
+
+
+def test_power_wraps_round_the_end_of_the_period():
+    np.testing.assert_allclose(
+        shares(0.75, 0.12), [1, 0.2, 0, 0, 0, 0, 0, 0.5, 1, 1], atol=1e-12, rtol=0
+    )
+
+
+def test_on_and_off_within_one_step_add_up():
+    np.testing.assert_allclose(shares(0.12, 0.15)[:3], [0, 0.3, 0], atol=1e-12)
+    np.testing.assert_allclose(shares(0.15, 0.12)[:3], [1, 0.7, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize("at", [0.0, 0.37, 1.0])
+def test_equal_times_mean_never_on(at):
+    assert not shares(at, at).any()
+
+
+def test_whole_period_means_always_on():
+    np.testing.assert_allclose(shares(0.0, 1.0), 1, rtol=1e-12)
+
+
+def test_on_at_the_end_and_off_at_the_start_means_never_on():
+    assert not shares(1.0, 0.0).any()
+
+
+@settings(deadline=None)
+@given(TIMES, TIMES)
+def test_mean_power_is_the_duty(on_s, off_s):
+    power = shares(on_s, off_s, PERIOD_S, 0.01)
+    duty = (off_s - on_s) / PERIOD_S + (1 if off_s < on_s else 0)
+    assert power.shape == (300,)
+    assert power.min() >= 0
+    assert power.max() <= 1
+    assert power.mean() == pytest.approx(duty, abs=1e-12)
+
+
+@settings(deadline=None)
+@given(st.lists(TIMES, min_size=2, max_size=8), st.lists(TIMES, min_size=2, max_size=8))
+def test_springs_do_not_influence_one_another(on, off):
+    springs = min(len(on), len(off))
+    together = GaitTimings(PERIOD_S, on[:springs], off[:springs]).power(0.1)
+    for i in range(springs):
+        np.testing.assert_array_equal(together[:, i], shares(on[i], off[i], PERIOD_S, 0.1))
+
+
+def test_robots_are_leading_axes():
+    on, off = np.array([[0.1, 0.2], [0.3, 0.9]]), np.array([[0.5, 0.1], [0.3, 1.0]])
+    both = GaitTimings(1.0, on, off).power(0.05)
+    assert both.shape == (2, 20, 2)
+    for row in range(2):
+        np.testing.assert_array_equal(both[row], GaitTimings(1.0, on[row], off[row]).power(0.05))
+
+
+def test_action_runs_from_start_to_end_of_the_period():
+    timings = GaitTimings.from_action(np.array([-1.0, 1.0, 0.0, 0.5]), PERIOD_S)
+    assert timings.on_s.tolist() == [0.0, 1.5]
+    assert timings.off_s.tolist() == [3.0, 2.25]
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(-1, 1, width=32), min_size=1, max_size=6).map(lambda v: v + v[::-1]))
+def test_action_comes_back_from_its_timings(values):
+    action = np.array(values, dtype=np.float32)
+    back = GaitTimings.from_action(action, PERIOD_S).to_action()
+    assert back.dtype == np.float32
+    assert back.shape == action.shape
+    np.testing.assert_allclose(back, action, rtol=0, atol=1e-7)
+
+
+def test_action_comes_back_for_many_robots():
+    action = np.linspace(-1, 1, 24, dtype=np.float32).reshape(2, 12)
+    timings = GaitTimings.from_action(action, PERIOD_S)
+    assert timings.on_s.shape == (2, 6)
+    np.testing.assert_allclose(timings.to_action(), action, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("bad", [-0.001, 3.001, np.nan, np.inf])
+@pytest.mark.parametrize("name", ["on_s", "off_s"])
+def test_times_outside_the_period_are_refused(name, bad):
+    times = {"on_s": [0.0, 1.0], "off_s": [1.0, 2.0], name: [0.5, bad]}
+    with pytest.raises(TimingError, match=rf"{name} must lie in \[0, 3\] s"):
+        GaitTimings(PERIOD_S, **times)
+
+
+def test_differing_shapes_are_told():
+    with pytest.raises(TimingError, match=r"\(2,\) and \(3,\)"):
+        GaitTimings(PERIOD_S, [0, 0], [0, 0, 0])
+    with pytest.raises(TimingError, match="one shape"):
+        GaitTimings.from_action(np.zeros(5), PERIOD_S)
+
+
+@pytest.mark.parametrize("period_s", [0.0, -1.0, np.nan, np.inf])
+def test_period_must_be_positive(period_s):
+    with pytest.raises(TimingError, match="period_s"):
+        GaitTimings(period_s, [0.0], [0.0])
+
+
+def test_nan_action_is_refused():
+    with pytest.raises(TimingError, match="nan"):
+        GaitTimings.from_action(np.array([0.0, np.nan]), PERIOD_S)
+
+
+def test_timings_keep_their_own_read_only_times():
+    on = np.array([0.5])
+    timings = GaitTimings(PERIOD_S, on, [1.0])
+    on[0] = 2.0
+    assert timings.on_s[0] == 0.5
+    with pytest.raises(ValueError, match="read-only"):
+        timings.on_s[0] = 1.0
+
+
+def test_period_must_be_a_whole_number_of_steps():
+    with pytest.raises(TimingError, match=r"the gait period of 1 s must be a whole multiple of 0\.3 s"):
+        shares(0.0, 0.5, step_s=0.3)
+
+
+def test_whole_counts_despite_rounding():
+    assert whole(0.3, 0.1, "it") == 3  # 0.1 * 3 is not 0.3
+    assert whole(30.0, 0.01, "it") == 3000
+
+
+@pytest.mark.parametrize(("duration_s", "step_s"), [(0.05, 0.1), (0.0, 0.1), (-0.1, 0.1), (0.25, 0.1)])
+def test_whole_refuses_none_and_fractions(duration_s, step_s):
+    with pytest.raises(TimingError, match="whole multiple"):
+        whole(duration_s, step_s, "it")

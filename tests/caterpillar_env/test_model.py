@@ -1,0 +1,292 @@
+import json
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from caterpillar_env import Morphology, Physics, PhysicsError, SmaSpring
+from caterpillar_env.gait import spring_names
+from caterpillar_env.model import build_model, joint_names
+from caterpillar_env.sma import spring_force
+
+BODY = Morphology(
+    leg_separation_m=0.02,
+    segment_length_m=0.026,
+    segment_radius_m=0.010,
+    segment_mass_kg=0.005,
+    joint_limit_rad=0.35,
+    attachment_x_m=0.004,
+    attachment_y_m=0.007,
+    attachment_z_m=0.005,
+)
+
+
+def built(morphology=BODY, strengths=None, **physics):
+    """A model and its data at the start."""
+    physics = Physics(**physics)
+    model = build_model(morphology, physics, physics.strengths() if strengths is None else strengths)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def step(model, data, seconds):
+    for _ in range(round(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    mujoco.mj_forward(model, data)
+
+
+# Body
+
+
+@pytest.mark.parametrize("segments", [2, 3, 4, 6])
+def test_sizes_follow_from_the_number_of_segments(segments):
+    model, _ = built(num_segments=segments)
+    assert model.nv == 6 + 3 * segments - 1
+    assert model.nq == 7 + 3 * segments - 1
+    assert model.nu == model.ntendon == 4 * (segments - 1)
+    assert model.nbody == 1 + 2 * segments
+    assert model.body_mass.sum() == pytest.approx(segments * 0.005)
+
+
+def test_sizes_do_not_depend_on_the_body():
+    one, other = built()[0], built(Morphology())[0]
+    for size in ("nq", "nv", "nu", "nbody", "ngeom", "nsite", "ntendon", "nsensor"):
+        assert getattr(one, size) == getattr(other, size)
+
+
+def test_body_starts_straight_with_its_centre_of_mass_two_radii_up():
+    _, data = built()
+    centres = data.xpos[1:]
+    np.testing.assert_allclose(centres[:, 2], 0.020)
+    np.testing.assert_allclose(centres[:, 0], -0.013 * np.arange(8), atol=1e-12)
+    np.testing.assert_allclose(data.subtree_com[1], [-0.013 * 3.5, 0, 0.020], atol=1e-12)
+
+
+def test_feet_touch_the_ground_at_the_leg_separation():
+    model, data = built()
+    for segment in range(4):
+        for side, sign in (("left", 1), ("right", -1)):
+            foot = data.geom(f"foot{segment}_{side}")
+            lowest = foot.xpos[2] - model.geom(f"foot{segment}_{side}").size[0]
+            assert lowest == pytest.approx(0, abs=1e-12)
+            assert foot.xpos[1] == pytest.approx(sign * 0.01)
+            assert foot.xpos[0] == pytest.approx(-0.026 * segment)
+
+
+def test_joints_are_listed_in_the_order_of_the_model():
+    model, _ = built(num_segments=3)
+    assert [model.joint(i).name for i in range(1, model.njnt)] == joint_names(3)
+    assert joint_names(2) == ["axial0", "bend0", "neck0", "axial1", "bend1"]
+
+
+def test_hinges_turn_as_far_as_the_joint_limit():
+    model, _ = built()
+    for name in joint_names(4):
+        limit = 0.15 * 0.026 if name.startswith("axial") else 0.35
+        assert model.joint(name).limited
+        np.testing.assert_allclose(model.joint(name).range, [-limit, limit])
+
+
+@pytest.mark.parametrize(("axis", "direction"), [("yaw", [0, 0, 1]), ("pitch", [0, 1, 0])])
+def test_bend_axis_is_a_choice_and_necks_pitch(axis, direction):
+    model, _ = built(bend_axis=axis)
+    assert model.joint("bend1").axis.tolist() == direction
+    assert model.joint("neck1").axis.tolist() == [0, 1, 0]
+
+
+@pytest.mark.parametrize("joint", ["neck1", "bend1", "axial1"])
+def test_joint_deflects_by_load_over_stiffness(joint):
+    """Static deflection in free space, with springs that do not pull."""
+    model, data = built(strengths=np.full(12, 1e-9))
+    model.opt.gravity[:] = 0
+    data.qpos[2] = 1.0
+    rest = {"axial1": 4 * 10 * (0.026 + 0.008 - 0.016) / 500}.get(joint, 0.0)  # moulded longer
+    load, stiffness = {"neck1": (1e-3, 6e-3), "bend1": (1e-3, 12e-3), "axial1": (-0.5, 500)}[joint]
+    data.qfrc_applied[model.joint(joint).dofadr[0]] = load
+    step(model, data, 4.0)
+    assert data.joint(joint).qpos[0] == pytest.approx(rest + load / stiffness, rel=1e-4)
+
+
+def test_cold_springs_compress_the_body_just_to_its_length():
+    model, data = built(strengths=np.ones(12))
+    model.opt.gravity[:] = 0
+    data.qpos[2] = 1.0
+    step(model, data, 3.0)
+    np.testing.assert_allclose(data.qpos[7:], 0, atol=1e-5)
+
+
+# Motion
+
+
+def test_centre_of_mass_falls_freely_whatever_the_springs_do():
+    model, data = built(timestep_s=2e-4)
+    data.qpos[2], data.ctrl[:] = 1.0, np.linspace(0, 1, 12)
+    mujoco.mj_forward(model, data)
+    before = data.subtree_com[1].copy()
+    step(model, data, 0.1)
+    assert np.abs(data.qpos[7:]).max() > 0.2
+    np.testing.assert_allclose(data.subtree_com[1] - before, [0, 0, -9.81 * 0.1**2 / 2], atol=1.5e-4)
+
+
+@pytest.mark.parametrize("share", [0.7, 1.3])
+def test_feet_stick_below_the_friction_angle_and_slide_above(share):
+    friction = 0.4
+    model, data = built(friction=friction, neck_stiffness_n_m_rad=1.0)  # stiff: a block on a slope
+    step(model, data, 0.5)
+    before = data.subtree_com[1, 0]
+    slope = math.atan(share * friction)
+    model.opt.gravity[:] = 9.81 * np.array([math.sin(slope), 0, -math.cos(slope)])
+    step(model, data, 1.0)
+    slid = 9.81 * (math.sin(slope) - friction * math.cos(slope)) / 2
+    if slid < 0:
+        assert abs(data.subtree_com[1, 0] - before) < 0.0005
+    else:
+        assert data.subtree_com[1, 0] - before == pytest.approx(slid, rel=0.02)
+
+
+@pytest.mark.parametrize(("height", "sign"), [("dorsal", 1), ("ventral", -1)])
+def test_hot_springs_bend_their_own_gap_towards_their_side(height, sign):
+    model, data = built(strengths=np.ones(12))
+    model.opt.gravity[:] = 0
+    data.qpos[2] = 1.0
+    for side in ("left", "right"):
+        data.ctrl[model.actuator(f"gap2_{height}_{side}").id] = 1.0
+    step(model, data, 2.0)
+    necks = [data.joint(f"neck{g}").qpos[0] for g in range(3)]
+    assert sign * necks[1] > 0.2  # pitch is positive when the tail goes up
+    assert max(abs(necks[0]), abs(necks[2])) < 0.02
+
+
+def test_spring_on_one_side_turns_that_way():
+    model, data = built(strengths=np.ones(12))
+    model.opt.gravity[:] = 0
+    data.qpos[2] = 1.0
+    for height in ("dorsal", "ventral"):
+        data.ctrl[model.actuator(f"gap2_{height}_left").id] = 1.0
+    step(model, data, 2.0)
+    # The left side shortens: seen from the tail, the head turns left.
+    head, tail = data.xmat[1].reshape(3, 3)[:, 0], data.xmat[8].reshape(3, 3)[:, 0]
+    assert np.cross(tail, head)[2] > 0.05
+
+
+@pytest.mark.parametrize("face", ["back", "side"])
+def test_fallen_body_lies_on_the_ground(face):
+    model, data = built()
+    data.qpos[3:7] = [0, 1, 0, 0] if face == "back" else [math.sqrt(0.5), math.sqrt(0.5), 0, 0]
+    data.qpos[2] = 0.015
+    step(model, data, 1.0)
+    assert data.xpos[1:, 2].min() > 0.008
+    assert data.xpos[1:, 2].max() < 0.016
+
+
+# Springs
+
+
+def test_springs_carry_the_names_of_the_gait():
+    model, _ = built(num_segments=3)
+    assert [model.actuator(i).name for i in range(model.nu)] == spring_names(3)
+    assert [model.tendon(i).name for i in range(model.nu)] == spring_names(3)
+
+
+def test_springs_run_between_their_anchors():
+    model, data = built()
+    np.testing.assert_allclose(data.ten_length, 0.026 + 2 * 0.004)  # L + 2x
+    for gap in (1, 2, 3):
+        for height, up in (("dorsal", 1), ("ventral", -1)):
+            for side, left in (("left", 1), ("right", -1)):
+                first = model.tendon_adr[model.tendon(f"gap{gap}_{height}_{side}").id]
+                ends = data.site_xpos[model.wrap_objid[first : first + 2]]
+                np.testing.assert_allclose(ends[:, 1], left * 0.005)
+                np.testing.assert_allclose(ends[:, 2], 0.020 + up * 0.007)
+                expected = [-0.026 * (gap - 1) + 0.004, -0.026 * gap - 0.004]
+                np.testing.assert_allclose(ends[:, 0], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "spring",
+    [
+        SmaSpring(),
+        SmaSpring(austenite_rest_length_m=0.030, martensite_rest_length_m=0.036),  # goes slack
+        SmaSpring(force_limit_n=0.3),  # is capped
+    ],
+    ids=["default", "slack", "capped"],
+)
+def test_actuators_pull_as_the_two_state_spring(spring):
+    model, data = built(spring=spring)
+    strengths = Physics().strengths()
+    rng = np.random.default_rng(0)
+    forces = []
+    for fraction in (0.0, 0.25, 0.5, 1.0):
+        for _ in range(5):
+            data.qpos[7:] = rng.uniform(-1, 1, model.nq - 7) * model.jnt_range[1:, 1]
+            data.ctrl[:] = fraction
+            mujoco.mj_forward(model, data)
+            expected = -strengths * spring_force(spring, data.ten_length, np.full(12, fraction))
+            np.testing.assert_allclose(data.actuator_force, expected, atol=1e-12)
+            forces.append(data.actuator_force.copy())
+    assert np.ptp(forces) > 0.1
+
+
+# Physics
+
+
+def test_strengths_spread_about_one_and_follow_the_seed():
+    many = Physics(num_segments=64).strengths()
+    assert many.shape == (252,)
+    assert many.mean() == pytest.approx(1, abs=0.015)
+    assert many.std() == pytest.approx(0.05, rel=0.15)
+    assert (Physics(num_segments=64).strengths() == many).all()
+    assert (Physics(num_segments=64, mismatch_seed=1).strengths() != many).all()
+    assert (Physics(mismatch_std=0.0).strengths() == 1).all()
+    assert Physics(num_segments=64, mismatch_std=5.0).strengths().min() == 0.1
+
+
+def test_measured_strengths_take_the_place_of_drawn_ones():
+    measured = [0.9, 1.0, 1.1, 1.2]
+    physics = Physics(num_segments=2, spring_strengths=measured, mismatch_seed=3)
+    assert physics.strengths().tolist() == measured
+    assert Physics.of(json.loads(json.dumps(physics.to_dict()))) == physics
+    for unusable in ([1.0] * 3, [1.0, 1.0, 1.0, 0.0], [1.0, 1.0, 1.0, math.nan]):
+        with pytest.raises(PhysicsError, match="spring_strengths must be 4 positive numbers"):
+            Physics(num_segments=2, spring_strengths=unusable)
+
+
+def test_physics_comes_back_from_json():
+    physics = Physics(num_segments=3, spring=SmaSpring(ambient_c=20.0), bend_axis="pitch")
+    assert Physics.of(json.loads(json.dumps(physics.to_dict()))) == physics
+
+
+def test_partial_mappings_keep_the_other_defaults():
+    assert Physics.of({"spring": {"ambient_c": 20.0}}) == Physics(spring=SmaSpring(ambient_c=20.0))
+    assert Physics.of(None) == Physics()
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ({"frictoin": 1.0}, "physics takes a mapping with fields among num_segments, .*got frictoin"),
+        (
+            {"spring": {"turn": 3}},
+            "spring takes a mapping with fields among wire_diameter_m, .*got turn",
+        ),
+        ([4], r"physics takes a mapping .*got \[4\]"),
+        ({"num_segments": 1}, "num_segments = 1 must be a whole number from 2 to 64"),
+        ({"num_segments": 65}, "num_segments = 65 must"),
+        ({"num_segments": 4.0}, "num_segments = 4.0 must"),
+        ({"friction": -0.1}, "friction = -0.1 must be a finite number, not negative"),
+        ({"friction": math.nan}, "friction = nan must"),
+        ({"friction": None}, "friction = None must"),
+        ({"timestep_s": 0.0}, "timestep_s = 0.0 must be positive"),
+        ({"timestep_s": 0.003}, "timestep_s = 0.003 does not fit: the thermal step of 0.01 s"),
+        ({"solver": "pgs"}, "solver = 'pgs' must be one of cg, newton"),
+        ({"integrator": "euler"}, "integrator = 'euler' must be one of discrete, implicitfast"),
+        ({"cone": "round"}, "cone = 'round' must be one of elliptic, pyramidal"),
+        ({"bend_axis": "roll"}, "bend_axis = 'roll' must be one of yaw, pitch"),
+    ],
+    ids=lambda v: v if isinstance(v, str) else "",
+)
+def test_unusable_physics_is_refused_with_the_reason(value, message):
+    with pytest.raises(PhysicsError, match=message):
+        Physics.of(value)

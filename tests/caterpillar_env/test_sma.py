@@ -1,0 +1,327 @@
+"""Springs against closed forms; every reference value is computed here from the wire's data."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from caterpillar_env import PhysicsError, SmaSpring
+from caterpillar_env.sma import SmaState, advance, cooling_branch, heating_branch, spring_force
+
+NITI = SmaSpring()
+STEP_S = 0.01
+
+# Of a metre of the default wire, from its data.
+AREA_M2 = math.pi * 0.15e-3**2 / 4
+MASS_KG_M = 6450 * AREA_M2
+OHM_M = 0.98e-6 / AREA_M2
+LOSS_W_M_K = 110 * 0.7 * math.pi * 0.15e-3
+
+
+def powered(spring, share, seconds, state=None, step_s=STEP_S):
+    """One spring under constant power."""
+    state = SmaState.cold(spring, (1,)) if state is None else state
+    return advance(spring, state, np.full((round(seconds / step_s), 1), float(share)), step_s)
+
+
+def temperature(spring, state):
+    return float(state.temperature_c(spring)[0])
+
+
+# Thermal balance
+
+
+def test_wire_data_follow_from_its_geometry():
+    assert NITI.resistance_per_m_ohm == pytest.approx(55.5, abs=0.1)  # the supplier's sheet
+    assert NITI.resistance_per_m_ohm == pytest.approx(OHM_M)
+    assert NITI.mass_per_m_kg == pytest.approx(MASS_KG_M)
+    assert NITI.wire_length_m == pytest.approx(100 * math.pi * 0.47e-3)
+    assert NITI.drive_power_w == pytest.approx(0.35**2 * OHM_M * 100 * math.pi * 0.47e-3)
+    assert NITI.time_constant_s == pytest.approx(6450 * 500 * 0.15e-3 / (4 * 110 * 0.7))
+
+
+def test_heating_without_transformation_is_first_order():
+    spring = SmaSpring(latent_heat_j_kg=0, drive_current_a=0.1)  # ends at 40 degC, far below As
+    tau = 6450 * 500 * 0.15e-3 / (4 * 110 * 0.7)
+    rise = 0.1**2 * OHM_M / LOSS_W_M_K
+    for seconds in (0.01, 0.5, tau, 3 * tau):
+        steps = round(seconds / STEP_S)
+        end = temperature(spring, powered(spring, 1, steps * STEP_S).state)
+        assert end == pytest.approx(25 + rise * (1 - math.exp(-steps * STEP_S / tau)), abs=1e-9)
+
+
+def test_cooling_without_transformation_is_exponential():
+    start = SmaState.at(NITI, np.array([50.0]), np.zeros(1))
+    end = temperature(NITI, powered(NITI, 0, 2.0, start).state)
+    tau = 6450 * 500 * 0.15e-3 / (4 * 110 * 0.7)
+    assert end == pytest.approx(25 + 25 * math.exp(-2.0 / tau), abs=1e-9)
+
+
+def test_partial_power_heats_by_its_share():
+    spring = SmaSpring(drive_current_a=0.1)
+    full, half = (temperature(spring, powered(spring, u, 1.0).state) - 25 for u in (1.0, 0.5))
+    assert half == pytest.approx(full / 2)
+
+
+def test_least_current_that_reaches_austenite_finish():
+    least_a = math.sqrt(LOSS_W_M_K * (78 - 25) / OHM_M)
+    for current_a, whole in ((0.995 * least_a, False), (1.005 * least_a, True)):
+        spring = SmaSpring(drive_current_a=current_a)
+        fraction = powered(spring, 1, 60.0, step_s=0.05).state.fraction[0]
+        assert fraction > 0.9
+        assert bool(fraction == 1.0) is whole
+
+
+def test_adiabatic_pulse_takes_sensible_and_latent_heat():
+    spring = SmaSpring(convection_w_m2_k=1e-9)
+    pulse_s = MASS_KG_M * (500 * (78 - 25) + 24_200) / (0.35**2 * OHM_M)
+    done = powered(spring, 1, pulse_s, step_s=pulse_s / 100)
+    assert temperature(spring, done.state) == pytest.approx(78, abs=1e-6)
+    assert done.fraction[-1, 0] == pytest.approx(1, abs=1e-6)
+    assert done.fraction[-2, 0] < 1
+
+
+def test_transforming_takes_no_heat_without_latent_heat():
+    spring = SmaSpring(convection_w_m2_k=1e-9, latent_heat_j_kg=0)
+    pulse_s = MASS_KG_M * 500 * (78 - 25) / (0.35**2 * OHM_M)
+    assert temperature(spring, powered(spring, 1, pulse_s, step_s=pulse_s / 50).state) == pytest.approx(
+        78
+    )
+
+
+def test_energy_supplied_is_stored_or_lost():
+    power = np.repeat([1.0, 0.0, 0.6, 0.0, 1.0], 1500)[:, None]  # 1.5 s each
+    step_s = 0.001
+    state, temperatures = SmaState.cold(NITI, (1,)), [25.0]
+    for share in power:
+        state = advance(NITI, state, share[None], step_s).state
+        temperatures.append(temperature(NITI, state))
+    done = advance(NITI, SmaState.cold(NITI, (1,)), power, step_s)
+
+    supplied = 0.35**2 * OHM_M / MASS_KG_M * step_s * done.power.sum()
+    stored = 500 * (temperatures[-1] - 25) + 24_200 * done.state.fraction[0]
+    over_c = np.array(temperatures) - 25
+    lost = LOSS_W_M_K / MASS_KG_M * step_s * (over_c[:-1] + over_c[1:]).sum() / 2
+    assert supplied == pytest.approx(stored + lost, rel=1e-4)
+    assert done.loss_j_kg[0] == pytest.approx(lost, rel=1e-4)
+
+
+def test_steps_of_ten_milliseconds_are_fine_enough():
+    pattern = [1.0, 0.0, 1.0, 0.0]
+    coarse = advance(NITI, SmaState.cold(NITI, (1,)), np.repeat(pattern, 100)[:, None], 0.01)
+    fine = advance(NITI, SmaState.cold(NITI, (1,)), np.repeat(pattern, 4000)[:, None], 0.00025)
+    assert 0.2 < coarse.fraction.mean() < 0.8
+    np.testing.assert_allclose(coarse.fraction, fine.fraction[39::40], atol=0.006)
+
+
+def test_cut_off_is_an_ideal_thermostat():
+    spring = SmaSpring(drive_current_a=0.5)
+    held = powered(spring, 1, 20.0)
+    need = LOSS_W_M_K * (120 - 25) / (0.5**2 * OHM_M)  # share that balances the loss at the cut-off
+    assert need < 1
+    assert temperature(spring, held.state) == pytest.approx(120, abs=1e-9)
+    assert held.power[-1, 0] == pytest.approx(need, rel=STEP_S / 1.57)
+    assert held.power[0, 0] == pytest.approx(1)
+    cooling = powered(spring, 0, 1.0, held.state)
+    assert not cooling.power.any()
+    assert temperature(spring, cooling.state) < 100
+
+
+def test_spring_beyond_the_cut_off_is_not_powered():
+    hot = SmaState.at(NITI, np.array([150.0]), np.ones(1))
+    done = powered(NITI, 1, 0.1, hot)
+    tau = 6450 * 500 * 0.15e-3 / (4 * 110 * 0.7)
+    assert not done.power.any()
+    assert temperature(NITI, done.state) == pytest.approx(25 + 125 * math.exp(-0.1 / tau), abs=1e-9)
+
+
+@settings(deadline=None, max_examples=60)
+@given(arrays(float, (80, 3), elements=st.floats(0, 1)), st.sampled_from([0.2, 0.35, 0.8]))
+def test_any_power_history_stays_between_ambient_and_cut_off(power, current_a):
+    spring = SmaSpring(drive_current_a=current_a)
+    state = SmaState.cold(spring, (3,))
+    done = advance(spring, state, power, 0.1)
+    for k in range(len(power)):
+        state = advance(spring, state, power[k : k + 1], 0.1).state
+        temperatures = state.temperature_c(spring)
+        assert np.isfinite(temperatures).all()
+        assert temperatures.min() >= 25 - 1e-9
+        assert temperatures.max() <= 120 + 1e-9
+    np.testing.assert_array_equal(done.state, state)
+    assert ((done.fraction >= 0) & (done.fraction <= 1)).all()
+    assert ((done.power >= 0) & (done.power <= power + 1e-12)).all()
+
+
+def test_springs_are_independent_of_their_neighbours():
+    power = np.random.default_rng(0).random((50, 2, 3))
+    together = advance(NITI, SmaState.cold(NITI, (2, 3)), power, STEP_S)
+    for row in range(2):
+        alone = advance(NITI, SmaState.cold(NITI, (3,)), power[:, row], STEP_S)
+        np.testing.assert_array_equal(together.fraction[:, row], alone.fraction)
+
+
+def test_without_current_nothing_is_drawn_or_heated():
+    spring = SmaSpring(drive_current_a=0.0)
+    done = powered(spring, 1, 1.0)
+    assert not done.power.any()
+    assert temperature(spring, done.state) == 25
+
+
+def test_path_ends_in_the_state():
+    done = powered(NITI, 1, 1.0)
+    np.testing.assert_array_equal(done.fraction[-1], done.state.fraction)
+    np.testing.assert_array_equal(done.enthalpy_j_kg[-1], done.state.enthalpy_j_kg)
+    half = powered(NITI, 1, 0.5)
+    np.testing.assert_array_equal(done.enthalpy_j_kg[:50], half.enthalpy_j_kg)
+
+
+def test_state_given_to_advance_is_left_alone():
+    state = SmaState.cold(NITI, (1,))
+    powered(NITI, 1, 1.0, state)
+    assert state.enthalpy_j_kg[0] == 500 * 25
+    assert state.fraction[0] == 0
+
+
+# Hysteresis
+
+
+@pytest.mark.parametrize(
+    ("branch", "ends_c"), [(heating_branch, (68, 78)), (cooling_branch, (56, 66))], ids=["heat", "cool"]
+)
+def test_branches_are_half_cosines(branch, ends_c):
+    low, high = ends_c
+    at = np.array([low - 9, low, low + (high - low) / 3, (low + high) / 2, high, high + 9])
+    np.testing.assert_allclose(branch(NITI, at), [0, 0, 0.25, 0.5, 1, 1], atol=1e-12)
+
+
+def test_branch_midpoints_are_half_austenite_when_driven_there():
+    spring = SmaSpring(convection_w_m2_k=1e-9)
+    pulse_s = MASS_KG_M * (500 * (73 - 25) + 24_200 / 2) / (0.35**2 * OHM_M)
+    middle = powered(spring, 1, pulse_s, step_s=pulse_s / 200).state
+    assert temperature(spring, middle) == pytest.approx(73, abs=1e-3)
+    assert middle.fraction[0] == pytest.approx(0.5, abs=1e-4)
+
+    cooling = powered(NITI, 0, 6.0, SmaState.at(NITI, np.array([90.0]), np.ones(1)), step_s=0.001)
+    crossing = np.argmin(np.abs(cooling.fraction[:, 0] - 0.5))
+    state = powered(
+        NITI, 0, crossing * 0.001, SmaState.at(NITI, np.array([90.0]), np.ones(1)), 0.001
+    ).state
+    assert temperature(NITI, state) == pytest.approx(61, abs=0.02)
+
+
+def half_transformed():
+    """Heated to between As and Af, on the heating branch."""
+    state = SmaState.cold(NITI, (1,))
+    while state.fraction[0] < 0.5:
+        state = powered(NITI, 1, STEP_S, state).state
+    return state
+
+
+def test_reversal_freezes_the_fraction_until_the_other_branch():
+    start = half_transformed()
+    state, frozen = start, 0
+    while temperature(NITI, state) > 61.5:  # the cooling branch is at 0.55 there
+        assert state.fraction[0] == start.fraction[0]
+        state, frozen = powered(NITI, 0, STEP_S, state).state, frozen + 1
+    assert frozen > 10
+    later = powered(NITI, 0, 0.5, state).state
+    assert later.fraction[0] < start.fraction[0]
+    np.testing.assert_allclose(
+        later.fraction, cooling_branch(NITI, later.temperature_c(NITI)), atol=1e-4
+    )
+
+
+def test_reversal_on_cooling_freezes_too():
+    hot = SmaState.at(NITI, np.array([90.0]), np.ones(1))
+    start = powered(NITI, 0, 2.2, hot).state
+    assert 0.2 < start.fraction[0] < 0.8
+    heated = powered(NITI, 1, 0.05, start)
+    assert temperature(NITI, heated.state) < 68
+    assert (heated.fraction == start.fraction[0]).all()
+
+
+def test_minor_loop_returns_to_the_point_it_left():
+    """Return-point memory: after a detour the state runs on as if there had been none."""
+    start = half_transformed()
+    state = powered(NITI, 0, 0.8, start).state
+    assert state.fraction[0] < start.fraction[0] - 0.05  # a detour along the cooling branch
+    while state.fraction[0] <= start.fraction[0]:
+        state = powered(NITI, 1, 0.001, state, step_s=0.001).state
+    np.testing.assert_allclose(state.temperature_c(NITI), start.temperature_c(NITI), atol=0.05)
+    np.testing.assert_allclose(
+        state.fraction, heating_branch(NITI, state.temperature_c(NITI)), atol=1e-4
+    )
+
+
+def test_state_at_a_temperature_is_clipped_to_the_loop():
+    at = np.array([60.0, 61.0, 67.0, 73.0, 90.0])
+    state = SmaState.at(NITI, at, np.array([0.0, 1.0, 0.3, 0.0, 0.0]))
+    np.testing.assert_allclose(state.fraction, [0, 0.5, 0.3, 0.5, 1])
+    np.testing.assert_allclose(state.temperature_c(NITI), at)
+
+
+# Force
+
+
+def test_force_of_pure_phases_and_their_mixture():
+    # 20 mm beyond the rest length: 35 N/m gives 0.70 N, 10 N/m gives 0.20 N.
+    force = spring_force(NITI, np.full(3, 0.036), np.array([1.0, 0.0, 0.5]))
+    np.testing.assert_allclose(force, [0.70, 0.20, 0.45])
+
+
+def test_spring_neither_pushes_nor_exceeds_its_limit():
+    lengths, fraction = np.array([0.010, 0.016, 0.060]), np.ones(3)
+    np.testing.assert_allclose(spring_force(NITI, lengths, fraction), [0, 0, 0.85])
+
+
+def test_stroke_under_a_load():
+    spring = SmaSpring(austenite_rest_length_m=0.015, martensite_rest_length_m=0.017)
+    load_n = 0.2
+    cold_m, hot_m = 0.017 + load_n / 10, 0.015 + load_n / 35
+    assert cold_m - hot_m == pytest.approx(load_n * (1 / 10 - 1 / 35) + (0.017 - 0.015))
+    force = spring_force(spring, np.array([cold_m, hot_m]), np.array([0.0, 1.0]))
+    np.testing.assert_allclose(force, load_n)
+
+
+# Errors
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"ambient_c": 56.0},
+        {"martensite_start_c": 56.0},
+        {"martensite_start_c": 78.0},
+        {"austenite_start_c": 55.0},
+        {"austenite_finish_c": 68.0},
+        {"cut_off_c": 78.0},
+    ],
+    ids=str,
+)
+def test_loops_that_cannot_be_are_refused(changes):
+    with pytest.raises(PhysicsError, match="ambient < Mf < Ms < Af < cut-off and Mf < As < Af"):
+        SmaSpring(**changes)
+
+
+@pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(SmaSpring)])
+def test_every_quantity_must_be_a_finite_number(field):
+    for value in (math.nan, math.inf, None, "1"):
+        with pytest.raises(PhysicsError, match=f"{field} = {value!r} must be a finite number"):
+            SmaSpring(**{field: value})
+
+
+@pytest.mark.parametrize("field", ["wire_diameter_m", "convection_w_m2_k", "force_limit_n"])
+def test_sizes_must_be_positive(field):
+    with pytest.raises(PhysicsError, match=f"{field} = 0 must be positive"):
+        SmaSpring(**{field: 0.0})
+
+
+@pytest.mark.parametrize("field", ["latent_heat_j_kg", "drive_current_a"])
+def test_latent_heat_and_current_may_be_zero_but_not_negative(field):
+    SmaSpring(**{field: 0.0})
+    with pytest.raises(PhysicsError, match="must not be negative"):
+        SmaSpring(**{field: -1.0})

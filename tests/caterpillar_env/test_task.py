@@ -1,0 +1,306 @@
+import math
+
+import numpy as np
+import pytest
+
+from caterpillar_env import Morphology, Physics, SimulationError
+from caterpillar_env.simulation import BodyState
+from caterpillar_env.task import Crawl, Failure, Thresholds, judge, observation_names, observe
+
+BODY = Morphology()
+JUMP_AT_ONCE = Thresholds(jumped_clearance_m=-1.0)  # everything is "clear of the ground"
+
+
+def seen(up_z=1.0, clearance_m=0.0):
+    """A robot as `judge` sees it."""
+    nothing = np.zeros((1, 3))
+    return BodyState(
+        time_s=np.zeros(1),
+        com_m=nothing,
+        up=np.array([[0.0, 0.0, up_z]]),
+        forward=np.array([[1.0, 0.0, 0.0]]),
+        clearance_m=np.array([clearance_m]),
+        velocity=np.zeros((1, 6)),
+        joint_position=np.zeros((1, 11)),
+        joint_velocity=np.zeros((1, 11)),
+        temperature_c=np.full((1, 12), 25.0),
+        fraction=np.zeros((1, 12)),
+    )
+
+
+def judged(up_z=1.0, clearance_m=0.0, lateral_m=0.0, heading_rad=0.0, diverged=False):
+    code = judge(
+        seen(up_z, clearance_m),
+        np.array([lateral_m]),
+        np.array([heading_rad]),
+        np.array([diverged]),
+        Thresholds(),
+    )
+    return Failure(code[0])
+
+
+def crawl(rows=1, thresholds=None, stop_on_failure=True):
+    robots = Crawl(rows, Physics(), 1, thresholds=thresholds, stop_on_failure=stop_on_failure)
+    robots.reset([BODY] * rows)
+    return robots
+
+
+def pose(robots, row, quaternion, height_m):
+    """Put a robot elsewhere, behind the back of its account."""
+    robots.simulation._qpos[row, 2] = height_m
+    robots.simulation._qpos[row, 3:7] = quaternion
+
+
+def off(rows=1, intervals=1):
+    return np.zeros((rows, 10 * intervals, 12))
+
+
+def gait(rows=1, intervals=10, seed=0):
+    return np.repeat(np.random.default_rng(seed).random((rows, intervals, 12)) < 0.6, 10, axis=1) * 1.0
+
+
+# Failures
+
+
+@pytest.mark.parametrize(
+    ("what", "failure"),
+    [
+        ({}, Failure.NONE),
+        ({"up_z": 0.51}, Failure.NONE),
+        ({"up_z": 0.49}, Failure.TIPPED),
+        ({"up_z": -0.49}, Failure.TIPPED),
+        ({"up_z": -0.51}, Failure.FLIPPED),
+        ({"clearance_m": 0.0049}, Failure.NONE),
+        ({"clearance_m": 0.0051}, Failure.JUMPED),
+        ({"heading_rad": math.radians(44)}, Failure.NONE),
+        ({"heading_rad": math.radians(46)}, Failure.VEERED),
+        ({"heading_rad": math.radians(-46)}, Failure.VEERED),
+        ({"lateral_m": 0.119}, Failure.NONE),
+        ({"lateral_m": 0.121}, Failure.VEERED),
+        ({"lateral_m": -0.121}, Failure.VEERED),
+        ({"diverged": True}, Failure.DIVERGED),
+    ],
+    ids=str,
+)
+def test_failures_begin_at_their_thresholds(what, failure):
+    assert judged(**what) is failure
+
+
+def test_graver_failure_is_told_first():
+    everything = {"up_z": -1.0, "clearance_m": 1.0, "lateral_m": 1.0, "diverged": True}
+    assert judged(**everything) is Failure.DIVERGED
+    assert judged(**everything | {"diverged": False}) is Failure.FLIPPED
+    assert judged(up_z=0.0, clearance_m=1.0, lateral_m=1.0) is Failure.TIPPED
+    assert judged(clearance_m=1.0, lateral_m=1.0) is Failure.JUMPED
+
+
+def test_labels_are_the_words_of_the_paper():
+    labels = ["ok", "diverged", "flipped", "tipped", "jumped", "veered"]
+    assert [failure.label for failure in Failure] == labels
+
+
+HALF = math.sqrt(0.5)
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "height_m", "failure"),
+    [
+        ([0, 1, 0, 0], 0.012, Failure.FLIPPED),  # on its back
+        ([HALF, HALF, 0, 0], 0.012, Failure.TIPPED),  # on its side
+        ([HALF, 0, HALF, 0], 0.012, Failure.TIPPED),  # on its head
+        ([1, 0, 0, 0], 0.3, Failure.JUMPED),  # in the air
+        ([math.cos(0.4), 0, 0, math.sin(0.4)], 0.024, Failure.VEERED),  # 0.8 rad to the left
+        ([1, 0, 0, 0], 0.024, Failure.NONE),
+    ],
+    ids=["back", "side", "head", "air", "turned", "start"],
+)
+def test_robot_in_that_pose_fails_so(quaternion, height_m, failure):
+    robots = crawl(2)
+    pose(robots, 1, quaternion, height_m)
+    robots.run(off(2))
+    assert robots.progress().failure.tolist() == [Failure.NONE, failure]
+
+
+def test_diverged_robot_is_told_and_leaves_the_others(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo logs its warning in the working directory
+    robots, healthy = crawl(2, stop_on_failure=False), crawl(2)
+    robots.simulation._qpos[0] = np.nan
+    power = gait(2, 5)
+    robots.run(power)
+    healthy.run(power)
+    assert robots.failure.tolist() == [Failure.DIVERGED, Failure.NONE]
+    assert robots.progress().time_s.tolist() == [0.1, 0.5]  # a diverged one always stops
+    assert robots.progress().distance_m[1] == healthy.progress().distance_m[1]
+
+
+# Account
+
+
+def test_failed_robot_stops_at_the_end_of_its_interval():
+    robots = crawl(2)
+    pose(robots, 0, [0, 1, 0, 0], 0.012)
+    calls = []
+    robots.run(gait(2, 5), on_interval=calls.append)
+    progress = robots.progress()
+    assert progress.failure.tolist() == [Failure.FLIPPED, Failure.NONE]
+    assert progress.time_s.tolist() == [0.1, 0.5]
+    assert calls == [None] * 5
+    robots.run(gait(2, 5))
+    assert robots.progress().time_s.tolist() == [0.1, 1.0]
+    assert robots.progress().distance_m[0] == progress.distance_m[0]
+    assert robots.progress().energy_j[0] == progress.energy_j[0]
+
+
+def test_account_counts_only_steps_really_made():
+    robots = crawl(3)
+    pose(robots, 0, [0, 1, 0, 0], 0.012)
+    robots.run(off(3, 4))
+    assert robots.simulation.simulated_s == pytest.approx(0.1 + 0.4 + 0.4)
+    robots.run(off(1, 2), np.array([0]))
+    assert robots.simulation.simulated_s == pytest.approx(0.9)
+
+
+def test_nothing_is_called_once_all_have_failed():
+    robots = crawl(2, JUMP_AT_ONCE)
+    calls = []
+    robots.run(off(2, 5), on_interval=calls.append)
+    assert len(calls) == 1
+
+
+def test_robots_go_on_after_a_failure_when_told_to():
+    robots = crawl(1, JUMP_AT_ONCE, stop_on_failure=False)
+    robots.run(off(1, 5))
+    assert robots.progress().time_s[0] == 0.5
+    assert robots.failure.tolist() == [Failure.JUMPED]
+    pose(robots, 0, [0, 1, 0, 0], 0.012)
+    robots.run(off(1, 2))
+    assert robots.failure.tolist() == [Failure.JUMPED]  # the first one stays
+
+
+def test_reset_clears_the_failure_and_the_account():
+    robots = crawl(2)
+    pose(robots, 0, [0, 1, 0, 0], 0.012)
+    robots.run(gait(2, 3))
+    robots.reset([BODY], np.array([0]))
+    progress = robots.progress()
+    assert progress.failure.tolist() == [Failure.NONE, Failure.NONE]
+    assert progress.distance_m[0] == 0
+    assert progress.energy_j[0] == 0 < progress.energy_j[1]
+    assert progress.time_s.tolist() == [0.0, 0.3]
+
+
+def test_run_gives_the_traces_of_each_interval():
+    robots, traces = crawl(2), []
+    robots.run(gait(2, 3), on_interval=traces.append, trace=True)
+    assert [t.qpos.shape for t in traces] == [(2, 10, 18)] * 3
+    np.testing.assert_array_equal(traces[-1].qpos[1, -1], robots.simulation.qpos(1))
+
+
+@pytest.mark.parametrize("heading_rad", [math.pi / 3, -2.5])
+def test_progress_and_senses_do_not_depend_on_the_compass(heading_rad):
+    """The same motion relative to the start gives the same account, whatever the starting heading."""
+    rng = np.random.default_rng(0)
+    joints, rates = rng.normal(0, 0.003, 11), rng.normal(0, 0.3, 17)
+    drift, turn = np.array([0.02, 0.01, 0.003]), 0.3
+    seen, progresses = [], []
+    for start_rad in (0.0, heading_rad):
+        robots = crawl()
+        robots.reset([BODY], heading_rad=start_rad)
+        simulation, now_rad = robots.simulation, start_rad + turn
+        compass = np.array(
+            [
+                [math.cos(start_rad), -math.sin(start_rad), 0],
+                [math.sin(start_rad), math.cos(start_rad), 0],
+                [0, 0, 1],
+            ]
+        )
+        simulation._qpos[0, :3] += compass @ drift
+        simulation._qpos[0, 3:7] = [math.cos(now_rad / 2), 0, 0, math.sin(now_rad / 2)]
+        simulation._qpos[0, 7:] = joints
+        simulation._qvel[0] = rates
+        simulation._qvel[0, :3] = compass @ rates[:3]  # linear in the world, angular in the body
+        simulation._refresh(np.array([0]))
+        seen.append(observe(robots, None, np.zeros((1, 8)), 3.0))
+        progresses.append(robots.progress())
+    np.testing.assert_allclose(seen[1], seen[0], rtol=1e-5, atol=1e-5)
+    for one, other in zip(*progresses, strict=True):
+        np.testing.assert_allclose(other, one, atol=1e-12)
+    assert progresses[0].heading_rad[0] == pytest.approx(0.3, abs=0.02)
+    assert progresses[0].distance_m[0] > 0.01
+
+
+def test_progress_measures_left_as_positive():
+    robots = crawl()
+    robots.reset([BODY], heading_rad=math.pi / 2)
+    robots.simulation._qpos[0, :2] += [-0.03, 0.02]  # left is -x when heading along y
+    robots.run(off())
+    progress = robots.progress()
+    assert progress.distance_m[0] == pytest.approx(0.02, abs=1e-3)
+    assert progress.lateral_m[0] == pytest.approx(0.03, abs=1e-3)
+
+
+def test_each_robot_may_have_its_own_number_of_intervals():
+    robots, calls = crawl(3), []
+    robots.run(gait(3, 4), on_interval=calls.append, intervals=np.array([4, 0, 2]))
+    assert robots.progress().time_s.tolist() == [0.4, 0.0, 0.2]
+    assert len(calls) == 4
+    alone = crawl(3)
+    alone.run(gait(3, 4)[:, :20])
+    assert robots.progress().distance_m[2] == alone.progress().distance_m[2]
+
+
+@pytest.mark.parametrize("shape", [(1, 15, 12), (2, 10, 12), (10, 12), (1, 10, 11)], ids=str)
+def test_wrong_shape_of_power_is_told(shape):
+    with pytest.raises(SimulationError, match="power must have shape") as caught:
+        crawl().run(np.zeros(shape))
+    assert str(shape) in str(caught.value)
+
+
+# Senses
+
+
+@pytest.mark.parametrize("clock", [False, True])
+@pytest.mark.parametrize("segments", [2, 4, 5])
+def test_every_entry_of_an_observation_is_named_once(segments, clock):
+    physics = Physics(num_segments=segments)
+    robots = Crawl(2, physics, 1)
+    robots.reset([BODY] * 2)
+    names = observation_names(physics, clock=clock)
+    values = observe(robots, None, np.zeros((2, 8)), 3.0 if clock else None)
+    assert values.shape == (2, len(names))
+    assert values.dtype == np.float32
+    assert len(set(names)) == len(names)
+
+
+def test_senses_carry_their_documented_scales():
+    robots = crawl()
+    power = off(1, 5)
+    power[:, :, 0] = 1.0
+    robots.run(power)
+    state, progress = robots.simulation.state(), robots.progress()
+    names = observation_names(Physics(), clock=True)
+    values = dict(zip(names, observe(robots, None, np.full((1, 8), 0.25), 2.0)[0], strict=True))
+    forward = state.forward[0]
+    left = np.cross([0, 0, 1], forward / np.linalg.norm(forward[:2]))
+    expected = {
+        "position:axial0": state.joint_position[0, 0] / 0.003,
+        "position:neck0": state.joint_position[0, 2] / 0.3,
+        "velocity:axial0": state.joint_velocity[0, 0] / 0.020,
+        "velocity:neck0": state.joint_velocity[0, 2] / 1.0,
+        "up:z": state.up[0, 2],
+        "heading:cos": math.cos(progress.heading_rad[0]),
+        "heading:sin": math.sin(progress.heading_rad[0]),
+        "height": state.com_m[0, 2] / 0.024,
+        "linear_velocity:y": state.velocity[0, :3] @ left / 0.020,
+        "angular_velocity:y": state.velocity[0, 3:] @ left,
+        "angular_velocity:z": state.velocity[0, 5],
+        "temperature:gap1_dorsal_left": (state.temperature_c[0, 0] - 25) / (120 - 25),
+        "temperature:gap1_dorsal_right": 0.0,
+        "fraction:gap1_dorsal_left": state.fraction[0, 0],
+        "phase:cos": 0.0,  # 0.5 s of 2 s
+        "phase:sin": 1.0,
+        "morphology:joint_limit_rad": 0.25,
+    }
+    for name, value in expected.items():
+        assert values[name] == pytest.approx(value, abs=1e-6), name
+    assert values["temperature:gap1_dorsal_left"] > 0.2

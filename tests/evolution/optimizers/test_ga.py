@@ -1,0 +1,400 @@
+"""The genetic algorithm: selection, crossover, mutation, hall of fame."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from evolution.distributions import TruncatedGaussian, Uniform
+from evolution.optimizers.ga import GaConfig, GeneticAlgorithm, OptimizerError, roulette
+
+CROSSOVERS = ["uniform", "one-point", "two-point"]
+
+
+class Rank:
+    """Genome i of n has the value i / n in every gene, so that a child shows whose genes it has."""
+
+    def sample(self, rng, size):
+        return np.arange(size) / size
+
+
+class Phases:
+    """The first draw is all zeros, every later one all ones, so that mutated genes stand out."""
+
+    def __init__(self):
+        self.drawn = 0
+
+    def sample(self, rng, size):
+        self.drawn += 1
+        return np.full(size, 0.0 if self.drawn == 1 else 1.0)
+
+
+def ga(distributions=None, seed=0, **config):
+    settings = {"population": 12, "hall_of_fame": 3, **config}
+    return GeneticAlgorithm(
+        distributions or [Uniform()] * 6, GaConfig(**settings), np.random.default_rng(seed)
+    )
+
+
+def generations(algorithm, fitness_of, count):
+    """Run the algorithm and give back what it asked for."""
+    asked = []
+    for _ in range(count):
+        genomes = algorithm.ask()
+        asked.append(genomes)
+        algorithm.tell(genomes, fitness_of(genomes))
+    return asked
+
+
+# Roulette
+
+
+def test_roulette_draws_in_proportion_to_fitness():
+    fitness = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
+    drawn = roulette(fitness, 50_000, np.random.default_rng(1))
+    counts = np.bincount(drawn, minlength=5)
+    assert counts[0] == 0
+    assert stats.chisquare(counts[1:], 50_000 * fitness[1:] / 10).pvalue > 0.01
+
+
+@pytest.mark.parametrize("value", [0.0, 0.03, 5e-324, 1e-300, 1e300, 1.7e308])
+def test_equal_fitness_makes_everybody_equally_likely(value):
+    drawn = roulette(np.full(8, value), 20_000, np.random.default_rng(2))
+    assert stats.chisquare(np.bincount(drawn, minlength=8)).pvalue > 0.01
+
+
+@pytest.mark.parametrize("value", [5e-324, 1e-300, 1e-9, 1.0, 1e300, 1.7e308])
+@pytest.mark.parametrize("place", [0, 3, 6])
+def test_only_positive_fitness_is_always_chosen(value, place):
+    fitness = np.zeros(7)
+    fitness[place] = value
+    assert set(roulette(fitness, 500, np.random.default_rng(0)).tolist()) == {place}
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1.0, 1e300])
+def test_scale_of_fitness_does_not_matter(scale):
+    fitness = np.array([1.0, 5.0, 0.0, 2.0])
+    plain = roulette(fitness, 200, np.random.default_rng(4))
+    assert roulette(scale * fitness, 200, np.random.default_rng(4)).tolist() == plain.tolist()
+
+
+@pytest.mark.parametrize("bad", [-1e-12, -1.0, np.nan, np.inf, -np.inf])
+def test_fitness_that_is_no_weight_is_refused(bad):
+    with pytest.raises(OptimizerError, match="finite and not negative"):
+        roulette(np.array([1.0, bad, 2.0]), 3, np.random.default_rng(0))
+
+
+@settings(deadline=None)
+@given(
+    fitness=st.lists(st.floats(0.0, 1.7e308), min_size=1, max_size=30).map(np.array),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_roulette_never_points_outside_nor_at_the_worthless(fitness, seed):
+    drawn = roulette(fitness, 20, np.random.default_rng(seed))
+    assert drawn.shape == (20,)
+    assert np.all((drawn >= 0) & (drawn < len(fitness)))
+    if fitness.max() > 0:
+        assert np.all(fitness[drawn] > 0)
+
+
+class Always:
+    """A generator that draws one number for ever."""
+
+    def __init__(self, value):
+        self.value = value
+
+    def random(self, size):
+        return np.full(size, self.value)
+
+
+@pytest.mark.parametrize(("draw", "expected"), [(0.0, 2), (np.nextafter(1.0, 0.0), 11)])
+def test_ends_of_the_wheel_are_never_worthless_places(draw, expected):
+    fitness = np.array([0.0] * 2 + [0.1] * 10 + [0.0] * 2)
+    assert roulette(fitness, 3, Always(draw)).tolist() == [expected] * 3
+
+
+# Ask and tell
+
+
+def test_hall_of_fame_is_not_asked_for_again():
+    algorithm = ga(population=200, hall_of_fame=10)
+    asked = generations(algorithm, lambda g: g[:, 0], 4)
+    assert [len(genomes) for genomes in asked] == [200, 190, 190, 190]
+
+
+def test_without_a_hall_of_fame_everybody_is_new():
+    asked = generations(ga(hall_of_fame=0), lambda g: g[:, 0], 3)
+    assert [len(genomes) for genomes in asked] == [12, 12, 12]
+
+
+def test_hall_of_fame_survives_unchanged():
+    # One genome is worth something, and only in the first generation. Whoever still breeds from the
+    # roulette five generations on is that genome, unmutated; all children are its copies.
+    algorithm = ga(hall_of_fame=1, mutation_rate=0.0)
+    first = algorithm.ask()
+    algorithm.tell(first, np.eye(len(first))[4])
+    for _ in range(5):
+        children = algorithm.ask()
+        np.testing.assert_array_equal(children, np.tile(first[4], (11, 1)))
+        algorithm.tell(children, np.zeros(11))
+
+
+def test_hall_of_fame_holds_the_best_so_far_and_not_of_the_last_generation_alone():
+    algorithm = ga(hall_of_fame=2, mutation_rate=0.0, crossover_rate=0.0)
+    first = algorithm.ask()
+    scores = np.zeros(12)
+    scores[[3, 8]] = [5.0, 1.0]
+    algorithm.tell(first, scores)
+    second = algorithm.ask()
+    # A child with 2 displaces the elite with 1 and not that with 5.
+    newcomer = np.flatnonzero((second == first[8]).all(axis=1))
+    assert newcomer.size, "with this seed no child copies the second elite"
+    scores = np.zeros(10)
+    scores[newcomer[0]] = 2.0
+    algorithm.tell(second, scores)
+    third = algorithm.ask()
+    kinds = {tuple(genome) for genome in third}
+    assert kinds == {tuple(first[3]), tuple(first[8])}
+
+
+def test_elites_are_not_among_the_children_when_everything_mutates():
+    algorithm = ga(hall_of_fame=3, mutation_rate=1.0)
+    first, second = generations(algorithm, lambda g: g[:, 0], 2)
+    assert not {tuple(g) for g in first} & {tuple(g) for g in second}
+
+
+@pytest.mark.parametrize("ties_later", [False, True])
+def test_of_equals_the_elder_stays_in_the_hall_of_fame(ties_later):
+    algorithm = ga(distributions=[Rank()], population=4, hall_of_fame=1, mutation_rate=0.0)
+    algorithm.tell(algorithm.ask(), np.array([0.0, 1.0, 1.0, 0.0]))  # a tie at 1/4 and 2/4
+    if ties_later:
+        children = algorithm.ask()
+        assert 0.5 in children, "with this seed no child ties with the elite"
+        algorithm.tell(children, np.ones(3))
+    algorithm.tell(algorithm.ask(), np.zeros(3))
+    assert algorithm.ask().tolist() == [[0.25]] * 3  # only the elite is worth anything
+
+
+def test_elites_that_do_not_breed_leave_no_copies():
+    # Only the elite is worth anything, so a breeding one would be everybody's parent.
+    fitness = np.zeros(12)
+    fitness[5] = 1.0
+    for breed in (True, False):
+        algorithm = ga(distributions=[Rank()] * 3, hall_of_fame=1, mutation_rate=0.0, elites_breed=breed)
+        first = algorithm.ask()
+        algorithm.tell(first, fitness)
+        of_elite = (algorithm.ask() == first[5]).all(axis=1)
+        assert of_elite.all() if breed else not of_elite.any()
+
+
+def test_asking_twice_gives_the_same_genomes():
+    algorithm = ga()
+    for _ in range(2):
+        one, two = algorithm.ask(), algorithm.ask()
+        np.testing.assert_array_equal(one, two)
+        algorithm.tell(one, one[:, 0])
+
+
+def test_changing_what_was_asked_for_does_not_reach_the_algorithm():
+    algorithm = ga()
+    mine = algorithm.ask()
+    kept = mine.copy()
+    mine[:] = 0.0
+    np.testing.assert_array_equal(algorithm.ask(), kept)
+
+
+def test_telling_of_other_genomes_is_refused():
+    algorithm = ga()
+    genomes = algorithm.ask()
+    for other in (genomes[::-1], genomes[:-1], genomes + 1e-9, genomes[:, :-1]):
+        with pytest.raises(OptimizerError, match="exactly the genomes that ask gave"):
+            algorithm.tell(other, np.ones(len(other)))
+    algorithm.tell(genomes, np.ones(12))
+
+
+def test_telling_without_or_twice_is_refused():
+    algorithm = ga()
+    with pytest.raises(OptimizerError, match="tell"):
+        algorithm.tell(np.zeros((12, 6)), np.zeros(12))
+    genomes = algorithm.ask()
+    algorithm.tell(genomes, np.ones(12))
+    with pytest.raises(OptimizerError, match="tell"):
+        algorithm.tell(genomes, np.ones(12))
+
+
+@pytest.mark.parametrize("shape", [(11,), (13,), (12, 1), ()])
+def test_fitness_of_another_shape_is_refused(shape):
+    algorithm = ga()
+    with pytest.raises(OptimizerError, match=r"shape \(12,\)"):
+        algorithm.tell(algorithm.ask(), np.ones(shape))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0])
+def test_fitness_that_is_no_weight_never_breeds(bad):
+    algorithm = ga()
+    genomes = algorithm.ask()
+    fitness = np.ones(12)
+    fitness[3] = bad
+
+    def tell_and_ask():
+        algorithm.tell(genomes, fitness)
+        algorithm.ask()
+
+    with pytest.raises(OptimizerError, match="not negative"):
+        tell_and_ask()
+
+
+# Crossover and mutation
+
+
+def switches(children):
+    """How often each child changes from the genes of one parent to those of the other."""
+    return (np.diff(children, axis=1) != 0).sum(axis=1)
+
+
+def children_of_rank(crossover, num_genes=10, rate=1.0):
+    algorithm = ga(
+        distributions=[Rank()] * num_genes, population=600, hall_of_fame=0,
+        mutation_rate=0.0, crossover=crossover, crossover_rate=rate,
+    )  # fmt: skip
+    algorithm.tell(algorithm.ask(), np.ones(600))
+    return algorithm.ask()
+
+
+@pytest.mark.parametrize("crossover", CROSSOVERS)
+def test_every_gene_comes_from_one_of_two_parents_at_its_own_place(crossover):
+    children = children_of_rank(crossover)
+    values = [set(child) for child in children]
+    assert max(map(len, values)) == 2
+    assert np.all(np.isin(children, np.arange(600) / 600))
+
+
+def test_one_point_crossover_switches_once_anywhere():
+    children = children_of_rank("one-point")
+    assert set(switches(children).tolist()) <= {0, 1}  # 0: both parents are one genome
+    assert np.mean(switches(children) == 1) > 0.95
+    assert set(np.nonzero(np.diff(children, axis=1))[1].tolist()) == set(range(9))
+
+
+def test_two_point_crossover_gives_a_stretch_from_the_other_parent():
+    children = children_of_rank("two-point")
+    assert set(switches(children).tolist()) == {0, 2}  # 0: the cuts may coincide
+    assert np.all(children[:, 0] == children[:, -1])
+    assert set(np.nonzero(np.diff(children, axis=1))[1].tolist()) == set(range(9))
+
+
+def test_uniform_crossover_takes_half_of_the_genes_from_each_parent():
+    children = children_of_rank("uniform", num_genes=20)
+    shares = np.mean(children == children[:, :1], axis=1)
+    # A gene agrees with the first one in half of the cases: 1/20 + 19/20 * 1/2
+    assert shares.mean() == pytest.approx(0.525, abs=0.02)
+
+
+@pytest.mark.parametrize("crossover", CROSSOVERS)
+def test_crossover_rate_is_the_share_of_children_with_two_parents(crossover):
+    for rate, expected in ((0.0, 0.0), (0.4, 0.4), (1.0, 1.0)):
+        mixed = np.mean(switches(children_of_rank(crossover, num_genes=40, rate=rate)) > 0)
+        assert mixed == pytest.approx(expected, abs=0.06 if expected else 0.0)
+
+
+def test_without_crossover_and_mutation_children_are_copies_of_parents():
+    algorithm = ga(crossover_rate=0.0, mutation_rate=0.0)
+    parents, children = generations(algorithm, lambda g: 0.1 + g[:, 0], 2)
+    assert {tuple(c) for c in children} <= {tuple(p) for p in parents}
+
+
+def test_mutation_rate_is_the_chance_of_each_gene():
+    algorithm = ga(
+        distributions=[Phases() for _ in range(20)], population=1000, hall_of_fame=0, mutation_rate=0.05
+    )
+    first, second = generations(algorithm, lambda g: np.ones(len(g)), 2)
+    assert not first.any()
+    # 20 000 genes: 1000 expected, standard deviation 31
+    assert second.sum() == pytest.approx(1000, abs=125)
+    assert np.all(second.sum(axis=0) > 0)
+
+
+def test_mutated_genes_are_drawn_afresh_from_their_own_distribution():
+    peaks = np.array([0.1, 0.5, 0.9])
+    narrow = [TruncatedGaussian(mu, 0.01) for mu in peaks]
+    algorithm = ga(distributions=narrow, population=300, mutation_rate=1.0)
+    first, second = generations(algorithm, lambda g: np.ones(len(g)), 2)
+    for genomes in (first, second):
+        np.testing.assert_allclose(genomes.mean(axis=0), peaks, atol=0.003)
+        np.testing.assert_allclose(genomes.std(axis=0), 0.01, rtol=0.2)
+    assert not np.isin(second, first).any()
+
+
+def test_children_stay_in_the_unit_cube():
+    for genomes in generations(ga(mutation_rate=0.5), lambda g: g.sum(axis=1), 10):
+        assert np.all((genomes >= 0) & (genomes <= 1))
+
+
+# The whole algorithm
+
+
+@pytest.mark.parametrize("crossover", CROSSOVERS)
+def test_equal_seeds_repeat_and_others_do_not(crossover):
+    def history(seed):
+        asked = generations(ga(seed=seed, crossover=crossover), lambda g: g[:, 0], 4)
+        return np.concatenate(asked)
+
+    np.testing.assert_array_equal(history(5), history(5))
+    assert not np.array_equal(history(5), history(6))
+
+
+def test_global_generator_is_not_touched():
+    before = np.random.get_state()[1].copy()  # noqa: NPY002
+    generations(ga(), lambda g: g[:, 0], 3)
+    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+
+
+@pytest.mark.parametrize(
+    "settings", [{}, {"elites_breed": False}, {"crossover": "one-point"}, {"crossover": "two-point"}],
+    ids=str,
+)  # fmt: skip
+@pytest.mark.parametrize("seed", range(3))
+def test_sphere_is_optimised_beyond_the_reach_of_random_search(settings, seed):
+    target = np.linspace(0.2, 0.8, 5)
+
+    def distance(genomes):
+        return ((genomes - target) ** 2).sum(axis=1)
+
+    algorithm = ga([Uniform()] * 5, seed, population=40, hall_of_fame=4, **settings)
+    asked = np.concatenate(generations(algorithm, lambda g: 1 / (1e-3 + distance(g)), 40))
+    random = np.random.default_rng(seed).random(asked.shape)
+    assert distance(asked).min() < 0.01 < distance(random).min()
+
+
+@pytest.mark.parametrize("fitness", [0.0, 0.05])
+def test_population_without_differences_goes_on(fitness):
+    asked = generations(ga(), lambda g: np.full(len(g), fitness), 5)
+    assert len(asked[-1]) == 9
+
+
+def test_smallest_population_works():
+    asked = generations(ga(population=2, hall_of_fame=1), lambda g: g[:, 0], 3)
+    assert [len(genomes) for genomes in asked] == [2, 1, 1]
+
+
+def test_defaults_are_the_papers():
+    assert (GaConfig().population, GaConfig().hall_of_fame) == (200, 10)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"population": 1, "hall_of_fame": 0}, "population = 1 must be at least 2"),
+        ({"population": -200}, "population = -200"),
+        ({"population": 10, "hall_of_fame": 10}, "hall_of_fame = 10 must be from 0 to .* = 9"),
+        ({"hall_of_fame": -1}, "hall_of_fame = -1"),
+        ({"crossover_rate": 1.1}, "crossover_rate = 1.1"),
+        ({"crossover_rate": np.nan}, "crossover_rate = nan"),
+        ({"mutation_rate": -0.1}, "mutation_rate = -0.1"),
+        ({"crossover": "three-point"}, "one of uniform, one-point, two-point"),
+    ],
+)
+def test_unusable_settings_are_refused(settings, message):
+    with pytest.raises(OptimizerError, match=message):
+        GaConfig(**settings)

@@ -1,0 +1,206 @@
+"""The subcommands from inside: presets, what is printed, and which files are left."""
+
+import contextlib
+import io
+import json
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from caterpillar_env.gait import GaitTimings
+from caterpillar_env.model import Physics
+from caterpillar_env.morphology import Morphology
+from evolution import cli, commands
+from evolution.individual import Individual
+from evolution.optimizers.ga import GaConfig
+from evolution.run import Generation, RunConfig, evolve
+
+CONFIG = RunConfig(
+    seed=4, generations=1, physics=Physics(num_segments=2, timestep_s=0.01, friction=0.7),
+    ga=GaConfig(population=3, hall_of_fame=1),
+)  # fmt: skip
+FLAGS = [
+    "evolve", "--num-segments", "2", "--timestep-s", "0.01", "--friction", "0.7", "--population", "3",
+    "--hall-of-fame", "1", "--generations", "1", "--no-video",
+]  # fmt: skip
+
+#: Physics in which every robot's integration breaks down at once.
+BROKEN = ["--integrator", "implicitfast", "--axial-stiffness-n-m", "1e9", "--axial-damping-n-s-m", "0"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run's folder, and what it printed."""
+    folder = tmp_path_factory.mktemp("commands") / "run"
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = cli.main([*FLAGS, "--seed", "4", "--preset", "quick", "--out", str(folder)])
+    assert status == 0
+    return folder, out.getvalue(), err.getvalue()
+
+
+@pytest.fixture
+def elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def told(number, evaluations, **failures):
+    return Generation(
+        number, 0.0123, 0.004, {"tipped": 0, "veered": 0, **failures}, evaluations, 210.0, 60.0
+    )
+
+
+# evolve
+
+
+def test_paper_preset_is_the_papers_run():
+    assert commands.PRESETS["paper"] == RunConfig()
+    assert commands.PRESETS["paper"].evaluations() == 9_510
+
+
+def test_quick_preset_is_small():
+    assert commands.PRESETS["quick"].evaluations() < 200
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([], "paper"),
+        (["--seed", "3"], "paper"),
+        (["--preset", "quick"], "quick"),
+        (["--preset=quick"], "quick"),
+        (["--seed", "3", "--preset", "quick", "--generations", "2"], "quick"),
+        (["--generations", "2", "--preset", "paper"], "paper"),
+    ],
+    ids=str,
+)
+def test_preset_is_found_among_the_other_flags(arguments, expected):
+    assert commands._preset(arguments) == expected
+
+
+def test_flags_change_a_preset_and_leave_the_rest_of_it(run):
+    folder, _, _ = run
+    config = json.loads((folder / "config.json").read_text())
+    assert config == json.loads(json.dumps(CONFIG.to_dict()))
+    assert commands.PRESETS["quick"].generations != CONFIG.generations
+
+
+def test_evolve_records_the_same_as_the_function(run, tmp_path):
+    folder, _, _ = run
+    evolve(CONFIG, tmp_path, threads=1)
+    for name in ("evaluations.csv", "best.json", "config.json"):
+        assert (folder / name).read_bytes() == (tmp_path / name).read_bytes()
+
+
+def test_evolve_tells_generations_on_the_error_stream_and_the_best_on_the_output(run):
+    folder, out, err = run
+    assert len(err.splitlines()) == 1
+    assert err.startswith("generation   0  best ")
+    assert "simulated 90 s" in err
+    best = Individual.load(folder)
+    assert out == f"best: {1000 * best.fitness_m:.1f} mm in 30 s (generation 0), in {folder}\n"
+
+
+def test_brackets_in_a_folders_name_are_no_markup(elsewhere, capsys):
+    # A folder's name is printed as it is when the run leaves no robot, "[/x]" and all.
+    assert cli.main([*FLAGS, *BROKEN, "--out", "a[red]b[/x]"]) == 0
+    said = capsys.readouterr()
+    assert "a[red]b[/x]" in (said.err + said.out).replace("\n", "")
+
+
+def test_runs_without_a_name_get_folders_of_their_own(elsewhere):
+    (elsewhere / "runs" / "uniform-seed4").mkdir(parents=True)
+    for _ in range(2):
+        assert cli.main([*FLAGS, *BROKEN, "--prior", "uniform", "--seed", "4"]) == 0
+    names = sorted(p.name for p in (elsewhere / "runs").iterdir())
+    assert names == ["uniform-seed4", "uniform-seed4-2", "uniform-seed4-3"]
+
+
+def test_robots_that_all_fail_end_in_a_sentence(elsewhere, capsys):
+    assert cli.main([*FLAGS, *BROKEN, "--out", "run"]) == 0
+    said = capsys.readouterr()
+    assert "3 diverged" in said.err
+    assert "no robot crawled forwards without failing" in said.err.replace("\n", " ")
+    assert "best:" not in said.out
+
+
+def test_lines_of_a_long_run_tell_failures_and_the_time_left():
+    config = RunConfig(generations=3, ga=GaConfig(population=4, hall_of_fame=1))  # 4 + 3 + 3
+    spoken = io.StringIO()
+    with commands._Reporter(config, Console(file=spoken, width=200)) as reporter:
+        reporter.progress(0.5)
+        reporter.generation(told(0, 4, tipped=1, veered=2))
+    line = spoken.getvalue()
+    assert "best   12.3 mm" in line
+    assert "failed: 1 tipped, 2 veered" in line
+    assert "left 1.5 min" in line  # 60 s for 4, and 6 to come
+
+
+def test_bar_on_a_terminal_only_moves_forwards():
+    config = RunConfig(generations=3, ga=GaConfig(population=4, hall_of_fame=1))
+    console = Console(file=io.StringIO(), force_terminal=True, width=120)
+    done = []
+    with commands._Reporter(config, console) as reporter:
+        for number, evaluations in enumerate((4, 7, 10)):
+            for share in (0.1, 0.5, 1.0):
+                reporter.progress(share)
+                done.append(reporter._bar.tasks[0].completed)
+            reporter.generation(told(number, evaluations))
+            done.append(reporter._bar.tasks[0].completed)
+    assert done == sorted(done)
+    assert done[-1] == 10
+
+
+# preprocess
+
+
+def test_preprocess_prints_the_paper_as_json(elsewhere, capsys):
+    assert cli.main(["preprocess", "--json"]) == 0
+    table = {row["gene"]: row for row in json.loads(capsys.readouterr().out)}
+    assert len(table) == 20
+    assert table["leg_separation_m"]["mu"] == table["leg_separation_m"]["upper"]
+    assert table["segment_radius_m"]["mu"] == table["segment_radius_m"]["lower"]
+    assert table["segment_mass_kg"]["kind"] == "uniform"
+    assert table["gap1_dorsal_on_s"]["upper"] == RunConfig().gait_period_s
+    assert (elsewhere / "preprocess.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_preprocess_prints_a_table_with_every_gene(elsewhere, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    assert cli.main(["preprocess", "--num-segments", "2", "--out", "d.png"]) == 0
+    said = capsys.readouterr()
+    for name in ("leg_separation_m", "segment_mass_kg", "gap1_ventral_off_s", "contradiction"):
+        assert name in said.out
+    assert "d.png" in said.err
+    assert (elsewhere / "d.png").exists()
+
+
+# replay
+
+
+@pytest.fixture
+def still(elsewhere):
+    """A robot that is never powered, with a made-up record."""
+    timings = GaitTimings(RunConfig().gait_period_s, np.zeros(2), np.zeros(2))
+    robot = Individual(Morphology(), timings, Physics(num_segments=2), fitness_m=0.02)
+    robot.save(elsewhere / "still.json")
+    return robot
+
+
+def test_replay_tells_how_far_off_the_record_is(still, capsys):
+    assert cli.main(["replay", "still.json", "--no-video"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("fitness ")
+    assert "0.0 J" in said
+    assert "recorded 0.02 m: -" in said
+
+
+def test_replay_without_a_record_says_so(still, elsewhere, capsys):
+    Individual(still.morphology, still.timings, still.physics).save(elsewhere / "still.json")
+    assert cli.main(["replay", "still.json", "--no-video", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["recorded_fitness_m"] is None
+    assert said["identical"] is False
+    assert [p.name for p in elsewhere.iterdir()] == ["still.json"]

@@ -1,0 +1,88 @@
+"""Figures are drawn from every kind of record, into the file that was asked for."""
+
+import numpy as np
+import pytest
+from matplotlib import _pylab_helpers
+from matplotlib.image import imread
+
+from caterpillar_env.gait import GaitTimings
+from caterpillar_env.model import Physics
+from caterpillar_env.morphology import Morphology
+from evolution import plots
+from evolution.individual import Individual
+from evolution.preprocessor import paper_priors
+from evolution.run import Generation, RunConfig
+
+PERIOD_S = RunConfig().gait_period_s
+REASONS = ("diverged", "flipped", "tipped", "jumped", "veered")
+
+
+def generation(number, best_m=0.01, mean_m=0.005, **failures):
+    return Generation(
+        number, best_m, mean_m, {r: failures.get(r, 0) for r in REASONS}, 10 * (number + 1), 300.0, 1.0
+    )
+
+
+def individual(num_segments=4, on_s=0.0, off_s=PERIOD_S / 2):
+    shape = 2 * (num_segments - 1)
+    timings = GaitTimings(PERIOD_S, np.full(shape, on_s), np.full(shape, off_s))
+    return Individual(Morphology(), timings, Physics(num_segments=num_segments))
+
+
+def picture(path):
+    """The pixels, once it is sure that something is drawn."""
+    pixels = imread(path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert pixels.shape[0] > 100
+    assert pixels.shape[1] > 300
+    assert pixels[..., :3].std() > 0.02
+    return pixels
+
+
+@pytest.mark.parametrize(
+    "history",
+    [
+        [generation(0)],
+        [generation(0, 0.0, 0.0), generation(1, 0.0, 0.0)],
+        [generation(0, 0.0, 0.0, diverged=10), generation(1, 0.0, 0.0, diverged=10)],
+        [generation(n, 0.01 + 0.001 * n, 0.005, tipped=3, veered=n) for n in range(20)],
+    ],
+    ids=["one generation", "nobody moves", "everybody fails", "usual"],
+)
+def test_convergence_is_drawn(history, tmp_path):
+    plots.convergence(history, tmp_path / "convergence.png", "a run")
+    picture(tmp_path / "convergence.png")
+
+
+def test_convergence_shows_failures(tmp_path):
+    plots.convergence([generation(0), generation(1)], tmp_path / "none.png", "")
+    plots.convergence([generation(0, tipped=4), generation(1, jumped=2)], tmp_path / "some.png", "")
+    assert not np.array_equal(picture(tmp_path / "none.png"), picture(tmp_path / "some.png"))
+
+
+@pytest.mark.parametrize(
+    ("num_segments", "on_s", "off_s"),
+    [(2, 0.0, 0.0), (2, 0.75 * PERIOD_S, 0.25 * PERIOD_S), (5, 0.0, PERIOD_S)],
+    ids=["never", "round the end", "always"],
+)
+def test_gait_is_drawn_for_any_robot_and_timing(num_segments, on_s, off_s, tmp_path):
+    plots.gait(individual(num_segments, on_s, off_s), tmp_path / "gait.png")
+    picture(tmp_path / "gait.png")
+
+
+def test_gait_shows_the_timings(tmp_path):
+    plots.gait(individual(2, 0.0, 0.5), tmp_path / "short.png")
+    plots.gait(individual(2, 0.0, 1.5), tmp_path / "long.png")
+    assert not np.array_equal(picture(tmp_path / "short.png"), picture(tmp_path / "long.png"))
+
+
+def test_densities_of_all_genes_are_drawn(tmp_path):
+    priors = paper_priors(Physics(num_segments=2), PERIOD_S)
+    plots.densities(priors, tmp_path / "densities.png")
+    picture(tmp_path / "densities.png")
+
+
+def test_drawing_leaves_no_figure_open(tmp_path):
+    plots.convergence([generation(0)], tmp_path / "convergence.png", "")
+    plots.gait(individual(2), tmp_path / "gait.png")
+    assert not _pylab_helpers.Gcf.figs
