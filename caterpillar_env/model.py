@@ -250,7 +250,7 @@ def _add_scenery(spec: mujoco.MjSpec) -> None:
         name="squares", type=mujoco.mjtTexture.mjTEXTURE_2D, width=128, height=128,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER, rgb1=[0.55, 0.58, 0.55], rgb2=[0.68, 0.71, 0.68],
     )  # fmt: skip
-    material = spec.add_material(name="ground", texuniform=True, texrepeat=[50, 50])  # 1 cm squares
+    material = spec.add_material(name="ground", texuniform=True, texrepeat=[50, 50])
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "squares"
     spec.worldbody.add_light(
         pos=[0, -0.3, 1.0], dir=[0, 0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
