@@ -22,6 +22,7 @@ _SUMMARIES = {
     "evolve": "evolve body and gait with the paper's genetic algorithm",
     "preprocess": "print and draw what the physics-based preprocessor says of each gene",
     "replay": "simulate a recorded robot once more and make a video",
+    "validate": "check the physics against closed forms, data sheets and finer timesteps",
 }
 
 

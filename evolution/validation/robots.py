@@ -7,10 +7,10 @@ them anew (about ten minutes on two cores), which a change of the physics calls 
 
 from __future__ import annotations
 
+import csv
 import json
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +58,6 @@ def make(path: Path = FILE) -> None:
             generations=6,
             prior=prior,
             ga=GaConfig(population=40, hall_of_fame=4),
-            physics=replace(Physics(), mismatch_seed=seed),
         )
         with tempfile.TemporaryDirectory() as folder:
             evolve(config, Path(folder) / "run")
@@ -70,8 +69,6 @@ def make(path: Path = FILE) -> None:
 
 def best_of(folder: Path, config: RunConfig, count: int) -> list[Individual]:
     """The `count` best robots that a run's `evaluations.csv` holds."""
-    import csv
-
     with (folder / "evaluations.csv").open(encoding="utf-8", newline="") as file:
         rows = sorted(csv.DictReader(file), key=lambda row: -float(row["fitness_m"]))[:count]
     return [Individual.of_row(row, config.physics, config.gait_period_s) for row in rows]

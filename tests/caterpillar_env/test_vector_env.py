@@ -306,7 +306,7 @@ def test_threads_do_not_change_a_bit():
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
-        (np.zeros((2, 12)), r"\(3, 12\).*got \(2, 12\)"),
+        (np.zeros((2, 12)), r"\(3, 12\).*got shape \(2, 12\)"),
         (np.zeros(12), r"\(3, 12\)"),
         (np.zeros((3, 11)), r"shape \(12,\)"),
         (np.full((3, 12), np.nan), "must be finite"),

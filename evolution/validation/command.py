@@ -1,0 +1,97 @@
+"""The subcommand `validate`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from caterpillar_env.errors import CaterpillarError
+from evolution import cli
+from evolution.validation import convergence, material, mechanics, sensitivity
+from evolution.validation.check import Check
+from evolution.validation.robots import evolved_robots
+
+
+@dataclass(frozen=True)
+class ValidateArgs:
+    """Check the physics; the exit status is 1 when a check fails."""
+
+    quick: bool = False
+    """Fewer robots, shorter runs, a coarser reference: a minute instead of a quarter of an hour."""
+    settings: bool = False
+    """Also weigh numerical settings against one another (a quarter of an hour more)."""
+    json: bool = False
+    """Print data instead of a table."""
+    out: Path = Path("validation")
+    """Folder for the plots and validation.json."""
+
+
+def groups(*, quick: bool) -> dict[str, Callable[[], list[Check]]]:
+    """The checks by group, in the order of the table, but for those on the timestep."""
+    return {
+        "SMA against closed forms": lambda: material.closed_forms(quick=quick),
+        "SMA against Dynalloy's table": lambda: material.dynalloy(quick=quick),
+        "mechanics": lambda: mechanics.statics(quick=quick),
+        "symmetries": lambda: mechanics.symmetries(quick=quick),
+        "rest": lambda: mechanics.rest(quick=quick),
+        "failure detectors": lambda: mechanics.detectors(evolved_robots(8 if quick else 50)),
+    }
+
+
+def validate_command(argv: Sequence[str]) -> int:
+    """`caterpillar validate`."""
+    args = cli.parse(ValidateArgs, argv, "validate")
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CaterpillarError(
+            f"cannot make {args.out}: {error.strerror}; choose another --out"
+        ) from None
+    console = Console(stderr=True, markup=False, highlight=False)
+    results: dict[str, list[Check]] = {}
+    for name, run in groups(quick=args.quick).items():
+        console.print(f"{name} ...")
+        results[name] = run()
+    console.print("timestep ...")
+    compared = convergence.compare(quick=args.quick)
+    results["timestep"] = convergence.checks(compared)
+    console.print("plots ...")
+    material.plot(args.out / "sma.png")
+    convergence.plot(compared, args.out / "timestep.png")
+    if not args.quick:
+        sensitivity.plot(*sensitivity.sweep(evolved_robots(5)), args.out / "sensitivity.png")
+    data = {group: [check._asdict() for check in found] for group, found in results.items()}
+    text = json.dumps(data, indent=2)
+    (args.out / "validation.json").write_text(text + "\n", encoding="utf-8")
+    if args.settings:
+        console.print("settings ...")
+        rows = convergence.settings_table()
+        (args.out / "settings.json").write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    print(text) if args.json else Console(width=None if sys.stdout.isatty() else 150).print(
+        _table(results)
+    )
+    failed = sum(not check.passed for found in results.values() for check in found)
+    total = sum(map(len, results.values()))
+    console.print(f"{total - failed} of {total} checks passed; plots are in {args.out}")
+    return 1 if failed else 0
+
+
+def _table(results: dict[str, list[Check]]) -> Table:
+    table = Table(title="Validation", title_justify="left")
+    for heading in ("check", "expected", "got", "tolerance", ""):
+        table.add_column(heading)
+    for group, found in results.items():
+        table.add_section()
+        table.add_row(group, style="bold")
+        for check in found:
+            verdict = "pass" if check.passed else "FAIL"
+            table.add_row(
+                *(str(part) for part in check[:4]), verdict, style=None if check.passed else "red"
+            )
+    return table
