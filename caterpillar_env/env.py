@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from caterpillar_env.episodes import Episodes, check_options
 from caterpillar_env.errors import SimulationError
-from caterpillar_env.gait import GAIT_PERIOD_S
-from caterpillar_env.model import CONTROL_INTERVAL_S, Physics
+from caterpillar_env.model import CONTROL_INTERVAL_S
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.rendering import RobotRenderer, has_display
 from caterpillar_env.simulation import Trace
-from caterpillar_env.task import EPISODE_S
 
 _ROW = np.array([0])
 
@@ -125,48 +123,24 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     def __init__(
         self,
         *,
-        action_mode: str = "timing",
-        symmetric: bool = True,
         morphology: Morphology | Mapping[str, float] | Any = None,
-        physics: Physics | dict[str, Any] | None = None,
-        gait_period_s: float = GAIT_PERIOD_S,
-        frame_skip: int = 1,
-        episode_s: float = EPISODE_S,
-        forward_reward_weight: float = 100.0,
-        ctrl_cost_weight: float = 0.0,
-        failure_cost: float = 5.0,
-        reset_noise_scale: float = 0.0,
-        terminate_on_failure: bool = True,
         threads: int = 1,
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
         camera_name: str = "track",
         default_camera_config: dict[str, Any] | None = None,
+        **episodes: Any,
     ) -> None:
-        arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
+        arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__", "episodes")}
         modes = [m for m in self.metadata["render_modes"] if m != "human" or has_display()]
         if render_mode is not None and render_mode not in modes:
             raise SimulationError(
                 f"render_mode must be None or one of {', '.join(modes)}; got {render_mode!r}"
                 + ('. "human" needs a display, and DISPLAY is not set' if len(modes) < 4 else "")
             )
-        EzPickle.__init__(self, **arguments)
-        self._episodes = Episodes(
-            1,
-            action_mode=action_mode,
-            symmetric=symmetric,
-            physics=physics,
-            gait_period_s=gait_period_s,
-            frame_skip=frame_skip,
-            episode_s=episode_s,
-            forward_reward_weight=forward_reward_weight,
-            ctrl_cost_weight=ctrl_cost_weight,
-            failure_cost=failure_cost,
-            reset_noise_scale=reset_noise_scale,
-            terminate_on_failure=terminate_on_failure,
-            threads=threads,
-        )
+        EzPickle.__init__(self, **arguments, **episodes)
+        self._episodes = Episodes(1, threads=threads, **episodes)
         self.action_space = self._episodes.action_space
         self.observation_space = self._episodes.observation_space
         self._morphology = Morphology() if morphology is None else Morphology.of(morphology)

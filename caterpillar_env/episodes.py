@@ -10,11 +10,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from caterpillar_env.errors import MorphologyError, PhysicsError, SimulationError, TimingError
-from caterpillar_env.gait import GaitTimings, whole
+from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, whole
 from caterpillar_env.model import CONTROL_INTERVAL_S, SMA_STEP_S, Physics, joint_names
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.simulation import Array, Rows, Trace
 from caterpillar_env.task import (
+    EPISODE_S,
     STEPS_PER_INTERVAL,
     Crawl,
     Failure,
@@ -39,7 +40,7 @@ class Step(NamedTuple):
 
 
 class Episodes:
-    """Episodes of N robots; arguments as documented for `CaterpillarEnv`.
+    """Episodes of N robots; arguments and defaults are documented for `CaterpillarEnv`.
 
     Raises:
         CaterpillarError: an argument is of the wrong kind or out of range.
@@ -49,18 +50,18 @@ class Episodes:
         self,
         num_envs: int,
         *,
-        action_mode: str,
-        symmetric: bool,
-        physics: Physics | dict[str, Any] | None,
-        gait_period_s: float,
-        frame_skip: int,
-        episode_s: float,
-        forward_reward_weight: float,
-        ctrl_cost_weight: float,
-        failure_cost: float,
-        reset_noise_scale: float,
-        terminate_on_failure: bool,
         threads: int,
+        action_mode: str = "timing",
+        symmetric: bool = True,
+        physics: Physics | dict[str, Any] | None = None,
+        gait_period_s: float = GAIT_PERIOD_S,
+        frame_skip: int = 1,
+        episode_s: float = EPISODE_S,
+        forward_reward_weight: float = 100.0,
+        ctrl_cost_weight: float = 0.0,
+        failure_cost: float = 5.0,
+        reset_noise_scale: float = 0.0,
+        terminate_on_failure: bool = True,
     ) -> None:
         if action_mode not in ("timing", "switch"):
             raise SimulationError(f'action_mode must be "timing" or "switch"; got {action_mode!r}')

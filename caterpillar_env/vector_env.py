@@ -14,11 +14,8 @@ from numpy.typing import NDArray
 from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.episodes import Episodes, check_options, morphologies_for
 from caterpillar_env.errors import SimulationError
-from caterpillar_env.gait import GAIT_PERIOD_S
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.rendering import RobotRenderer
-from caterpillar_env.task import EPISODE_S
 
 Array = NDArray[np.float64]
 
@@ -46,18 +43,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         self,
         num_envs: int = 1,
         *,
-        action_mode: str = "timing",
-        symmetric: bool = True,
         morphology: Any = None,
-        physics: Physics | dict[str, Any] | None = None,
-        gait_period_s: float = GAIT_PERIOD_S,
-        frame_skip: int = 1,
-        episode_s: float = EPISODE_S,
-        forward_reward_weight: float = 100.0,
-        ctrl_cost_weight: float = 0.0,
-        failure_cost: float = 5.0,
-        reset_noise_scale: float = 0.0,
-        terminate_on_failure: bool = True,
         threads: int = 0,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
@@ -66,6 +52,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         height: int = 480,
         camera_name: str = "track",
         default_camera_config: dict[str, Any] | None = None,
+        **episodes: Any,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise SimulationError(
@@ -73,21 +60,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
             )
         self.num_envs = num_envs
         self._mode = AutoresetMode(autoreset_mode)
-        self._episodes = Episodes(
-            num_envs,
-            action_mode=action_mode,
-            symmetric=symmetric,
-            physics=physics,
-            gait_period_s=gait_period_s,
-            frame_skip=frame_skip,
-            episode_s=episode_s,
-            forward_reward_weight=forward_reward_weight,
-            ctrl_cost_weight=ctrl_cost_weight,
-            failure_cost=failure_cost,
-            reset_noise_scale=reset_noise_scale,
-            terminate_on_failure=terminate_on_failure,
-            threads=threads,
-        )
+        self._episodes = Episodes(num_envs, threads=threads, **episodes)
         self._morphologies = morphologies_for(
             Morphology() if morphology is None else morphology, num_envs
         )
