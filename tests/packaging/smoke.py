@@ -11,7 +11,7 @@ import gymnasium
 import caterpillar_env
 
 here = Path(__file__).parent
-assert here not in Path(caterpillar_env.__file__).parents, "imported from the checkout"
+assert "site-packages" in Path(caterpillar_env.__file__).parts, "imported from the checkout"
 
 top_level = {
     path.parts[0] for path in files("caterpillar-sma") or [] if path.suffix in (".py", ".typed")
