@@ -26,7 +26,7 @@ from evolution.run import Generation, RunConfig, RunResult, evolve
 
 PRESETS = {
     "paper": RunConfig(),
-    "quick": RunConfig(generations=8, ga=GaConfig(population=20, hall_of_fame=2)),
+    "quick": RunConfig(generations=6, ga=GaConfig(population=20, hall_of_fame=2)),
 }
 
 
@@ -35,7 +35,7 @@ class EvolveArgs:
     """Evolve body and gait. Without options: the paper's run, 200 genomes for 50 generations."""
 
     preset: Literal["paper", "quick"] = "paper"
-    """quick: 20 genomes for 8 generations, about a minute on two cores. Other flags change a preset."""
+    """quick: 20 genomes for 6 generations, about a minute on two cores. Other flags change a preset."""
     out: Path | None = None
     """Run folder to make; by default a new one under runs/."""
     threads: int = 0

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from caterpillar_env.gait import pair_names
 from caterpillar_env.model import SMA_STEP_S
@@ -35,6 +36,8 @@ def convergence(history: Sequence[Generation], path: Path, title: str) -> None:
             lower.bar(numbers, counts, bottom=bottom, label=reason)
             bottom += counts
     lower.set(xlabel="generation", ylabel="failures")
+    for axis in (lower.xaxis, lower.yaxis):
+        axis.set_major_locator(MaxNLocator(integer=True))
     if bottom.any():
         lower.legend(fontsize="small")
     figure.savefig(path, dpi=120)
@@ -85,7 +88,7 @@ def densities(priors: Sequence[GenePrior], path: Path) -> None:
         axis.fill_between(values, density, alpha=0.3)
         axis.plot(values, density)
         name = gene.name.removesuffix(f"_{gene.unit}").replace("_", " ")
-        axis.set(title=name, xlabel=shown, ylim=(0, 2.2))
+        axis.set(title=name, xlabel=shown, ylim=(0, None))
         axis.title.set_fontsize("small")
     figure.supylabel("density over the uniform's")
     figure.savefig(path, dpi=110)
