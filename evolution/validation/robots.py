@@ -57,7 +57,7 @@ def make(path: Path = FILE) -> None:
             seed=seed,
             generations=6,
             prior=prior,
-            ga=GaConfig(population=40, hall_of_fame=4),
+            ga=GaConfig(population=30, hall_of_fame=4),
         )
         with tempfile.TemporaryDirectory() as folder:
             evolve(config, Path(folder) / "run")
