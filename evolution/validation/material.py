@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from caterpillar_env.sma import SmaSpring, SmaState, SmaStep, advance, spring_force
+from evolution.preprocessor import GRAVITY_M_S2
 from evolution.validation.check import Check, at_most, near
 
 Array = NDArray[np.float64]
@@ -187,7 +188,7 @@ def convection_w_m2_k(
     conductivity = 0.0241 * (film_k / 273.15) ** 0.9  # of air, W/(m K)
     viscosity = 1.327e-5 * (film_k / 273.15) ** 1.75  # kinematic, m2/s
     prandtl = 0.71
-    rayleigh = 9.81 / film_k * (wire_c - air_c) * diameter_m**3 * prandtl / viscosity**2
+    rayleigh = GRAVITY_M_S2 / film_k * (wire_c - air_c) * diameter_m**3 * prandtl / viscosity**2
     nusselt = (0.60 + 0.387 * rayleigh ** (1 / 6) / (1 + (0.559 / prandtl) ** (9 / 16)) ** (8 / 27)) ** 2
     wire_k, air_k = wire_c + 273.15, air_c + 273.15
     radiation: float = emissivity * 5.670e-8 * (wire_k**2 + air_k**2) * (wire_k + air_k)

@@ -15,6 +15,7 @@ from caterpillar_env.morphology import Morphology
 from caterpillar_env.sma import spring_force
 from caterpillar_env.task import EPISODE_S, Crawl, Progress
 from evolution.individual import Individual, label
+from evolution.preprocessor import GRAVITY_M_S2
 from evolution.validation.check import Check, at_least, at_most, near, same
 from evolution.validation.robots import random_robots
 
@@ -91,12 +92,12 @@ def _standing() -> list[Check]:
     for i in range(data.ncon):
         mujoco.mj_contactForce(model, data, i, force)
         borne += force[0]
-    weight = 9.81 * float(model.body_mass.sum())
+    weight = GRAVITY_M_S2 * float(model.body_mass.sum())
     sag = 1000 * (2 * Morphology().segment_radius_m - float(data.subtree_com[1, 2]))
     # A contact at rest yields g (1 - d) / (d k): k = 1 / (d_max timeconst)^2, d the impedance there.
     softest, stiffest = 0.9, 0.95
     k = 1 / (stiffest * physics.contact_time_constant_s) ** 2
-    yielding = 1000 * 9.81 * (1 - softest) / (softest * k)
+    yielding = 1000 * GRAVITY_M_S2 * (1 - softest) / (softest * k)
     return [
         near("weight borne by the ground at rest", weight, borne, "N", rel=2e-3),
         at_most("static sag of the centre of mass", 1.5 * yielding, sag, "mm"),
@@ -111,7 +112,9 @@ def _free_fall() -> Check:
     mujoco.mj_forward(model, data)
     start = float(data.subtree_com[1, 2])
     mujoco.mj_step(model, data, nstep=1001)  # positions of the centre of mass lag one step
-    return near("free fall in 1 s", 9.81 / 2, start - float(data.subtree_com[1, 2]), "m", rel=2e-3)
+    return near(
+        "free fall in 1 s", GRAVITY_M_S2 / 2, start - float(data.subtree_com[1, 2]), "m", rel=2e-3
+    )
 
 
 def _slope() -> list[Check]:
@@ -127,7 +130,7 @@ def _slope() -> list[Check]:
         model, data = _model(replace(Physics(), friction=friction))
         mujoco.mj_step(model, data, nstep=400)
         angle = math.atan(share * friction)
-        model.opt.gravity[:] = [9.81 * math.sin(angle), 0, -9.81 * math.cos(angle)]
+        model.opt.gravity[:] = [GRAVITY_M_S2 * math.sin(angle), 0, -GRAVITY_M_S2 * math.cos(angle)]
         mujoco.mj_step(model, data, nstep=100)
         x_m = []
         for _ in range(3):
@@ -140,7 +143,7 @@ def _slope() -> list[Check]:
         if share < 1:
             checks.append(at_most(f"{name}: way in 1 s", 1.0, 1000 * moved, "mm"))
         else:
-            pull = 9.81 * (math.sin(angle) - friction * math.cos(angle))
+            pull = GRAVITY_M_S2 * (math.sin(angle) - friction * math.cos(angle))
             checks.append(near(f"{name}: acceleration", pull, acceleration, "m/s2", rel=rel))
     return checks
 
