@@ -13,7 +13,7 @@ from rich.table import Table
 
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli
-from evolution.validation import convergence, material, mechanics, sensitivity
+from evolution.validation import convergence, golden, material, mechanics, sensitivity
 from evolution.validation.check import Check
 from evolution.validation.robots import evolved_robots
 
@@ -40,6 +40,7 @@ def groups(*, quick: bool) -> dict[str, Callable[[], list[Check]]]:
         "mechanics": lambda: mechanics.statics(quick=quick),
         "symmetries": lambda: mechanics.symmetries(quick=quick),
         "rest": lambda: mechanics.rest(quick=quick),
+        "golden trajectories": golden.checks,
         "failure detectors": lambda: mechanics.detectors(evolved_robots(8 if quick else 50)),
     }
 
@@ -79,6 +80,8 @@ def validate_command(argv: Sequence[str]) -> int:
     failed = sum(not check.passed for found in results.values() for check in found)
     total = sum(map(len, results.values()))
     console.print(f"{total - failed} of {total} checks passed; plots are in {args.out}")
+    if not all(check.passed for check in results["golden trajectories"]):
+        console.print(golden.ADVICE)
     return 1 if failed else 0
 
 

@@ -37,6 +37,13 @@ def random_robots(count: int, seed: int, physics: Physics) -> tuple[list[Morphol
     return decode(drawn, physics.num_segments, GAIT_PERIOD_S)
 
 
+def random_individuals(count: int, seed: int) -> list[Individual]:
+    """Robots of uniformly random genomes, one by one."""
+    physics = Physics()
+    drawn = np.random.default_rng(seed).random((count, len(genes(physics.num_segments, GAIT_PERIOD_S))))
+    return [Individual.of_genome(genome, physics, GAIT_PERIOD_S) for genome in drawn]
+
+
 def evolved_robots(count: int = TOP * len(RUNS)) -> list[Individual]:
     """Evolved robots, the best of each run first."""
     return [Individual.from_dict(data) for data in json.loads(FILE.read_text("utf-8"))[:count]]
@@ -55,7 +62,7 @@ def make(path: Path = FILE) -> None:
     for prior, seed in RUNS:
         config = RunConfig(
             seed=seed,
-            generations=6,
+            generations=10,
             prior=prior,
             ga=GaConfig(population=30, hall_of_fame=4),
         )
