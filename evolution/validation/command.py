@@ -25,7 +25,7 @@ class ValidateArgs:
     quick: bool = False
     """Fewer robots, shorter runs, a coarser reference: a minute instead of a quarter of an hour."""
     settings: bool = False
-    """Also weigh numerical settings against one another (a quarter of an hour more)."""
+    """Also weigh numerical settings against one another (ten minutes more); writes settings.json."""
     json: bool = False
     """Print data instead of a table."""
     out: Path = Path("validation")
@@ -70,13 +70,17 @@ def validate_command(argv: Sequence[str]) -> int:
     data = {group: [check._asdict() for check in found] for group, found in results.items()}
     text = json.dumps(data, indent=2)
     (args.out / "validation.json").write_text(text + "\n", encoding="utf-8")
+    tables = [_table(results)]
     if args.settings:
         console.print("settings ...")
         rows = convergence.settings_table()
         (args.out / "settings.json").write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
-    print(text) if args.json else Console(width=None if sys.stdout.isatty() else 150).print(
-        _table(results)
-    )
+        tables.append(_settings(rows))
+    if args.json:
+        print(text)
+    else:
+        for table in tables:
+            Console(width=None if sys.stdout.isatty() else 150).print(table)
     failed = sum(not check.passed for found in results.values() for check in found)
     total = sum(map(len, results.values()))
     console.print(f"{total - failed} of {total} checks passed; plots are in {args.out}")
@@ -97,4 +101,13 @@ def _table(results: dict[str, list[Check]]) -> Table:
             table.add_row(
                 *(str(part) for part in check[:4]), verdict, style=None if check.passed else "red"
             )
+    return table
+
+
+def _settings(rows: list[dict[str, float | str]]) -> Table:
+    table = Table(title="Settings against references of 0.5 ms", title_justify="left")
+    for heading in rows[0]:
+        table.add_column(heading.replace("_", " "))
+    for row in rows:
+        table.add_row(*(v if isinstance(v, str) else f"{v:.3g}" for v in row.values()))
     return table

@@ -31,8 +31,8 @@ _KINDS = {"evolved": 4, "random": 2}
 ADVICE = (
     "Golden trajectories belong to one version of the physics and of MuJoCo. If you changed the physics "
     "on purpose, let the rest of `caterpillar validate` pass, record them anew with "
-    "`python -m evolution.validation.golden` and say so in CHANGELOG.md. If MuJoCo changed, do the same. "
-    "If neither did, find out what moved the robots before anything else."
+    "`python -m evolution.validation.golden` and say so in CHANGELOG.md. If MuJoCo changed, do so too; "
+    "if neither did, find out what moved the robots before anything else."
 )
 
 

@@ -20,11 +20,3 @@ def test_figures_of_a_hand_worked_comparison():
     assert result.agreement(evolved=True) == pytest.approx(2 / 3)
     assert result.errors() == pytest.approx([0.1, 0.1])
     assert result.rank_correlation() == pytest.approx(1.0)
-
-
-@pytest.mark.slow
-def test_every_check_passes_and_is_drawn(tmp_path):
-    result = convergence.compare(quick=True)
-    assert not [check for check in convergence.checks(result) if not check.passed]
-    convergence.plot(result, tmp_path / "timestep.png")
-    assert (tmp_path / "timestep.png").stat().st_size > 10_000
