@@ -162,11 +162,15 @@ def crawl_for(
 ) -> Crawl:  # fmt: skip
     """Robots that have repeated a period of power (R, steps, springs) for `duration_s`.
 
-    `offset_m` displaces every axial joint at the start, to see what a tiny change does.
+    `offset_m` moves every joint at the start, to see what a tiny change does: each axial joint, and each
+    hinge so that the centre of the element behind it is moved as far, the vertical ones sideways.
     """
     crawl = Crawl(len(bodies), physics, stop_on_failure=stop_on_failure)
     axial = np.array([n.startswith("axial") for n in joint_names(physics.num_segments)])
-    crawl.reset(bodies, heading_rad=heading_rad, offset=np.tile(offset_m * axial, (len(bodies), 1)))
+    # A hinge is half-way between two elements, a quarter of a segment from either.
+    arms_m = np.array([body.segment_length_m / 4 for body in bodies])[:, None]
+    offset = np.where(axial, offset_m, offset_m / arms_m)
+    crawl.reset(bodies, heading_rad=heading_rad, offset=offset)
     left = round(duration_s / SMA_STEP_S)
     while left > 0:
         crawl.run(power[:, : min(left, power.shape[1])])
