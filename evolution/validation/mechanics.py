@@ -121,8 +121,9 @@ def _free_fall() -> Check:
 def _slope() -> list[Check]:
     """On a slope (gravity tilted) the unpowered robot holds below atan(mu) and slides above.
 
-    The body is held stiff, so that it slides as a block. It chatters all the same: the friction over a
-    second is mu times the normal impulse, in which the change of the normal velocity has its part.
+    The body is held stiff, so that it slides as a block. It chatters all the same: the friction over
+    half a second is mu times the normal impulse, in which the change of the normal velocity has a part.
+    Later the block begins to turn, and the friction of its feet no longer points along the slope.
     """
     checks = []
     friction = 0.4
@@ -136,14 +137,15 @@ def _slope() -> list[Check]:
         model.opt.gravity[:] = [GRAVITY_M_S2 * math.sin(angle), 0, -GRAVITY_M_S2 * math.cos(angle)]
         mujoco.mj_step(model, data, nstep=100)
         start_m, before = float(data.subtree_com[1, 0]), _com_velocity(model, data)
-        mujoco.mj_step(model, data, nstep=200)
+        duration_s = 0.5
+        mujoco.mj_step(model, data, nstep=round(duration_s / model.opt.timestep))
         moved, gained = float(data.subtree_com[1, 0]) - start_m, _com_velocity(model, data) - before
         name = f"foot on a slope of {share:g} mu"
         if share < 1:
-            checks.append(at_most(f"{name} sticks: way in 1 s", 1.0, 1000 * moved, "mm"))
+            checks.append(at_most(f"{name} sticks: way in 0.5 s", 0.1, 1000 * moved, "mm"))
         else:
             pull = GRAVITY_M_S2 * (math.sin(angle) - friction * math.cos(angle))
-            got = float(gained[0] + friction * gained[2])
+            got = float(gained[0] + friction * gained[2]) / duration_s
             checks.append(near(f"{name} slides: acceleration", pull, got, "m/s2", rel=0.01))
     return checks
 
@@ -233,8 +235,11 @@ def _within_spread(what: str, got_mm: Array, spread_mm: Array) -> list[Check]:
 
 
 def rest(*, quick: bool) -> list[Check]:
-    """Without power, or with all of it, robots come to rest, and hardly creep from then on."""
-    count, settle_s, watch_s = (8, 30.0, 10.0) if quick else (60, 30.0, 30.0)
+    """Without power, or with all of it, robots come to rest, and hardly creep from then on.
+
+    A few lean over slowly first, and buckle; a minute is enough for them.
+    """
+    count, settle_s, watch_s = (8, 60.0, 10.0) if quick else (60, 60.0, 30.0)
     physics = Physics()
     bodies, _ = random_robots(count, 2, physics)
     checks = []
