@@ -25,7 +25,7 @@ class ValidateArgs:
     quick: bool = False
     """Fewer robots, shorter runs, a coarser reference: a minute instead of a quarter of an hour."""
     settings: bool = False
-    """Also weigh numerical settings against one another (ten minutes more); writes settings.json."""
+    """Also weigh numerical settings against one another (five minutes more); writes settings.json."""
     json: bool = False
     """Print data instead of a table."""
     out: Path = Path("validation")

@@ -158,7 +158,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 _NUMERICAL = ("timestep_s", "solver", "integrator", "solver_tolerance")
 
 
-def settings_table(count: int = 30, duration_s: float = EPISODE_S) -> list[dict[str, float | str]]:
+def settings_table(count: int = 16, duration_s: float = EPISODE_S) -> list[dict[str, float | str]]:
     """Accuracy against cost of each of `SETTINGS`, on the `count` best evolved robots.
 
     Returns:

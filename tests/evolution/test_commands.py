@@ -1,8 +1,7 @@
-import csv
-
 """The subcommands from inside: presets, what is printed, and which files are left."""
 
 import contextlib
+import csv
 import io
 import json
 
