@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.gait import whole
-from caterpillar_env.model import SMA_STEP_S
+from caterpillar_env.model import SMA_STEP_S, Physics
 from caterpillar_env.task import EPISODE_S, Crawl
 from evolution.individual import Individual, label
 from evolution.validation.check import Check
@@ -62,7 +62,8 @@ def trajectory(robot: Individual, offset_m: float = 0.0) -> tuple[Array, str]:
 def record(path: Path = FILE) -> None:
     """Write `path`: the first few robots of each kind that are not sensitive to rounding."""
     kept: list[dict[str, Any]] = []
-    for kind, robots in (("evolved", evolved_robots()), ("random", random_individuals(50, seed=11))):
+    drawn = random_individuals(50, 11, Physics())
+    for kind, robots in (("evolved", evolved_robots()), ("random", drawn)):
         for index, robot in enumerate(robots):
             points, verdict = trajectory(robot)
             if np.abs(trajectory(robot, 1e-9)[0] - points).max() < _STEADY_M:

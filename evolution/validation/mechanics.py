@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from caterpillar_env.gait import spring_names, whole
+from caterpillar_env.gait import spring_names
 from caterpillar_env.model import SMA_STEP_S, Physics, build_model, joint_names
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.sma import spring_force
@@ -126,7 +126,7 @@ def _slope() -> list[Check]:
     Later the block begins to turn, and the friction of its feet no longer points along the slope.
     """
     checks = []
-    friction = 0.4
+    friction, duration_s = 0.4, 0.5
     stiff = replace(
         Physics(), friction=friction, neck_stiffness_n_m_rad=1.0, neck_damping_n_m_s_rad=0.01
     )
@@ -137,7 +137,6 @@ def _slope() -> list[Check]:
         model.opt.gravity[:] = [GRAVITY_M_S2 * math.sin(angle), 0, -GRAVITY_M_S2 * math.cos(angle)]
         mujoco.mj_step(model, data, nstep=100)
         start_m, before = float(data.subtree_com[1, 0]), _com_velocity(model, data)
-        duration_s = 0.5
         mujoco.mj_step(model, data, nstep=round(duration_s / model.opt.timestep))
         moved, gained = float(data.subtree_com[1, 0]) - start_m, _com_velocity(model, data) - before
         name = f"foot on a slope of {share:g} mu"
@@ -161,13 +160,14 @@ def _com_velocity(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
 def crawl_for(
     duration_s: float, bodies: Sequence[Morphology], power: Array, physics: Physics, *,
     heading_rad: float = 0.0, offset_m: float = 0.0, stop_on_failure: bool = True,
+    thresholds: Thresholds | None = None,
 ) -> Crawl:  # fmt: skip
     """Robots that have repeated a period of power (R, steps, springs) for `duration_s`.
 
     `offset_m` moves every joint at the start, to see what a tiny change does: each axial joint, and each
     hinge so that the centre of the element behind it is moved as far, the vertical ones sideways.
     """
-    crawl = Crawl(len(bodies), physics, stop_on_failure=stop_on_failure)
+    crawl = Crawl(len(bodies), physics, thresholds=thresholds, stop_on_failure=stop_on_failure)
     axial = np.array([n.startswith("axial") for n in joint_names(physics.num_segments)])
     # A hinge is half-way between two elements, a quarter of a segment from either.
     arms_m = np.array([body.segment_length_m / 4 for body in bodies])[:, None]
@@ -308,9 +308,8 @@ def _steered() -> list[Check]:
     power = timings.mirrored().power(SMA_STEP_S)[40]
     sides = np.array([[side in name for name in spring_names(physics.num_segments)]
                       for side in ("left", "right")])  # fmt: skip
-    crawl = Crawl(2, physics, thresholds=Thresholds(veered_heading_rad=math.radians(25)))
-    crawl.reset([bodies[40]] * 2)
-    crawl.run(np.tile(power * sides[:, None], (1, whole(EPISODE_S, timings.period_s, "an episode"), 1)))
+    strict = Thresholds(veered_heading_rad=math.radians(25))
+    crawl = crawl_for(EPISODE_S, [bodies[40]] * 2, power * sides[:, None], physics, thresholds=strict)
     turned = np.sign(crawl.progress().heading_rad)
     return [
         same("robot steered by one side's springs", ["veered"] * 2, [label(f) for f in crawl.failure]),

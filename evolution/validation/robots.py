@@ -18,7 +18,7 @@ import numpy as np
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
 from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
-from evolution.genome import decode, genes
+from evolution.genome import genes
 from evolution.individual import Individual
 from evolution.optimizers.ga import GaConfig
 from evolution.run import Prior, RunConfig, evolve
@@ -30,18 +30,16 @@ RUNS: tuple[tuple[Prior, int], ...] = tuple(
 TOP = 5  #: robots kept of each run
 
 
-def random_robots(count: int, seed: int, physics: Physics) -> tuple[list[Morphology], GaitTimings]:
-    """Bodies and gaits of uniformly random genomes."""
+def random_individuals(count: int, seed: int, physics: Physics) -> list[Individual]:
+    """Robots of uniformly random genomes, one by one."""
     num_genes = len(genes(physics.num_segments, GAIT_PERIOD_S))
     drawn = np.random.default_rng(seed).random((count, num_genes))
-    return decode(drawn, physics.num_segments, GAIT_PERIOD_S)
-
-
-def random_individuals(count: int, seed: int) -> list[Individual]:
-    """Robots of uniformly random genomes, one by one."""
-    physics = Physics()
-    drawn = np.random.default_rng(seed).random((count, len(genes(physics.num_segments, GAIT_PERIOD_S))))
     return [Individual.of_genome(genome, physics, GAIT_PERIOD_S) for genome in drawn]
+
+
+def random_robots(count: int, seed: int, physics: Physics) -> tuple[list[Morphology], GaitTimings]:
+    """Bodies and gaits of uniformly random genomes."""
+    return together(random_individuals(count, seed, physics))
 
 
 def evolved_robots(count: int = TOP * len(RUNS)) -> list[Individual]:
