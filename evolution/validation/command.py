@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,12 +59,14 @@ def validate_command(argv: Sequence[str]) -> int:
     results: dict[str, list[Check]] = {}
     for name, run in groups(quick=args.quick).items():
         console.print(f"{name} ... ", end="")
+        started = time.monotonic()
         results[name] = run()
-        console.print(_passed(results[name]))
+        console.print(f"{_passed(results[name])} ({time.monotonic() - started:.0f} s)")
     console.print("timestep, most of the work ... ", end="")
+    started = time.monotonic()
     compared = convergence.compare(quick=args.quick)
     results["timestep"] = convergence.checks(compared)
-    console.print(_passed(results["timestep"]))
+    console.print(f"{_passed(results['timestep'])} ({time.monotonic() - started:.0f} s)")
     console.print("plots ...")
     material.plot(args.out / "sma.png")
     convergence.plot(compared, args.out / "timestep.png")

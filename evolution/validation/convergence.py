@@ -23,7 +23,7 @@ from evolution.validation.mechanics import crawl_for
 from evolution.validation.robots import evolved_robots, random_robots, together
 
 Array = NDArray[np.float64]
-SPREAD = 20  #: evolved robots whose intrinsic spread is measured
+SPREAD = 10  #: evolved robots whose intrinsic spread is measured
 
 
 def reference(physics: Physics, *, quick: bool) -> Physics:

@@ -15,10 +15,11 @@ from caterpillar_env.model import SMA_STEP_S, Physics, build_model, joint_names
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.sma import spring_force
 from caterpillar_env.task import EPISODE_S, Crawl, Progress, Thresholds
+from evolution.fitness import simulate
 from evolution.individual import Individual, label
 from evolution.preprocessor import GRAVITY_M_S2
 from evolution.validation.check import Check, at_least, at_most, near, same
-from evolution.validation.robots import random_robots
+from evolution.validation.robots import random_robots, together
 
 Array = NDArray[np.float64]
 _FREE = 6  # degrees of freedom of the head
@@ -186,7 +187,7 @@ def symmetries(*, quick: bool) -> list[Check]:
     The solver's tolerance and stick-slip amplify rounding, so the measure is what a micrometre's
     change of the start does to the same robots.
     """
-    count, duration_s = (12, 10.0) if quick else (40, EPISODE_S)
+    count, duration_s = (12, 10.0) if quick else (24, EPISODE_S)
     perfect = Physics(mismatch_std=0.0)
     bodies, timings = random_robots(count, 1, perfect)
     power = timings.mirrored().power(SMA_STEP_S)
@@ -294,7 +295,7 @@ def detectors(healthy: Sequence[Individual]) -> list[Check]:
         for name, code in zip(poses, crawl.failure, strict=True)
     ]
     checks += _steered()
-    found = [label(robot.simulate().failure[0]) for robot in healthy]
+    found = [label(code) for code in simulate(*together(list(healthy)), physics).failure]
     return [*checks, same(f"{len(healthy)} evolved robots, none failing", ["ok"], sorted(set(found)))]
 
 

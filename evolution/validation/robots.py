@@ -2,7 +2,7 @@
 
 Evolution seeks out the faults of a simulator, random genomes do not. The evolved ones are the best of
 short runs of the genetic algorithm at the default physics; `python -m evolution.validation.robots` makes
-them anew (about five minutes on two cores), which a change of the physics calls for.
+them anew (about ten minutes on two cores), which a change of the physics calls for.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def make(path: Path = FILE) -> None:
     for prior, seed in RUNS:
         config = RunConfig(
             seed=seed,
-            generations=6,
+            generations=10,
             prior=prior,
             ga=GaConfig(population=30, hall_of_fame=4),
         )
