@@ -248,8 +248,11 @@ def _set_options(spec: mujoco.MjSpec, p: Physics) -> None:
     option.tolerance = p.solver_tolerance
     option.iterations = p.solver_iterations
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # 4.0.0's sparse Newton Hessian is wrong
+    off = mujoco.mjtDisableBit
     # A robot that blows up must stay visible as such, not be put back to the start.
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    option.disableflags |= off.mjDSBL_AUTORESET
+    # One robot of spheres on a plane has one island, and nothing to cull: the same bits for less.
+    option.disableflags |= off.mjDSBL_ISLAND | off.mjDSBL_MIDPHASE
 
 
 def _add_scenery(spec: mujoco.MjSpec) -> None:
