@@ -66,6 +66,9 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     | 2 | cosine and sine of the phase in the gait period (switch mode only; else it is constant) | 1 |
     | 8 | morphology, -1 at the lower and 1 at the upper bound | |
 
+    Axes, height and velocities of the body, and the distances in `info`, are those at the start of the last
+    physics step (5 ms ago), as in Gymnasium's own MuJoCo environments.
+
     ## Rewards
     *reward* = *reward_forward* + *reward_ctrl* + *reward_failure*
     - *reward_forward*: `forward_reward_weight` (100 per metre) times the progress of the centre of mass of
@@ -194,7 +197,8 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         if not self._running:
             raise SimulationError("call reset() before step()")
         live = self.render_mode in ("human", "rgb_array_list")
-        step = self._episodes.step([action], _ROW, self._on_interval if live else None)
+        actions = self._episodes.checked([action], 1)
+        step = self._episodes.step(actions, _ROW, self._on_interval if live else None)
         return (
             step.observation[0],
             float(step.reward[0]),

@@ -13,12 +13,13 @@ from caterpillar_env.errors import MorphologyError, PhysicsError, SimulationErro
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, whole
 from caterpillar_env.model import CONTROL_INTERVAL_S, SMA_STEP_S, Physics, joint_names
 from caterpillar_env.morphology import Morphology
-from caterpillar_env.simulation import Array, Rows, Trace
+from caterpillar_env.simulation import Array, BodyState, Rows, Trace
 from caterpillar_env.task import (
     EPISODE_S,
     STEPS_PER_INTERVAL,
     Crawl,
     Failure,
+    Progress,
     observation_names,
     observe,
 )
@@ -27,6 +28,7 @@ from caterpillar_env.task import (
 OBSERVATION_LIMIT = 1000.0
 #: Reset noise of 1 stands for 1 rad in the hinges and this much in the axial joints.
 _AXIAL_NOISE_M_RAD = 0.01
+_LABELS = {int(failure): failure.label for failure in Failure}
 
 
 class Step(NamedTuple):
@@ -120,16 +122,24 @@ class Episodes:
         self.crawl.reset(morphologies, rows, offset=offset)
         self._unit[rows] = [2.0 * m.to_unit() - 1.0 for m in morphologies]
         self._intervals[rows] = 0
-        return self._observe(rows), self._info(rows, np.zeros(len(rows)), np.zeros(len(rows)), 0.0)
+        state, start = self.crawl.simulation.state(rows), self.crawl.progress(rows)
+        nothing = np.zeros(len(rows))
+        return self._observe(rows, state, start), _info(state, start, start, nothing, nothing)
 
     def step(
         self,
-        actions: Any,
+        actions: Array,
         rows: Rows,
         on_interval: Callable[[Trace | None], None] | None = None,
     ) -> Step:
-        """Advance some rows by one environment step; a robot that fails stops within it."""
-        power = self._power(actions, rows)
+        """Advance some rows by one environment step; a robot that fails stops within it.
+
+        Args:
+            actions: one per row, as `checked` returns them.
+            rows: which robots.
+            on_interval: see `Crawl.run`.
+        """
+        power = self._power(actions)
         before = self.crawl.progress(rows)
         # The last gait period of an episode may be a part of one.
         left = np.minimum(self._episode_intervals - self._intervals[rows], self._step_intervals)
@@ -138,16 +148,17 @@ class Episodes:
         after = self.crawl.progress(rows)
 
         forward_weight, ctrl_weight, failure_cost = self._weights
-        ok = np.isfinite(after.distance_m)
-        moved = np.where(ok, after.distance_m - np.where(ok, before.distance_m, 0.0), 0.0)
+        moved = after.distance_m - before.distance_m
+        moved[~np.isfinite(after.distance_m)] = 0.0
         new_failure = (after.failure != Failure.NONE) & (before.failure == Failure.NONE)
         forward = forward_weight * moved
         ctrl = -ctrl_weight * (after.energy_j - before.energy_j)
         failed = after.failure != Failure.NONE if self._terminate else after.failure == Failure.DIVERGED
-        info = self._info(rows, forward, ctrl, after.time_s - before.time_s, before=before)
+        state = self.crawl.simulation.state(rows)
+        info = _info(state, before, after, forward, ctrl)
         info["reward_failure"] = -failure_cost * new_failure
         return Step(
-            observation=self._observe(rows),
+            observation=self._observe(rows, state, after),
             reward=forward + ctrl + info["reward_failure"],
             terminated=failed,
             truncated=~failed & (self._intervals[rows] >= self._episode_intervals),
@@ -170,48 +181,46 @@ class Episodes:
             raise TimingError(
                 f"actions must be numbers of shape {expected[1:]} a robot, {expected} in all; got {got}"
             )
-        if not np.isfinite(array).all():
+        if not np.isfinite(array.sum()) and not np.isfinite(array).all():
             raise TimingError(f"actions must be finite; got {actions!r}")
-        if self.action_mode == "switch" and not np.isin(array, (0, 1)).all():
+        if self.action_mode == "switch" and not (array * array == array).all():
             raise TimingError(f"switch actions must be 0 (off) or 1 (on); got {actions!r}")
         return array
 
-    def _power(self, actions: Any, rows: Rows) -> Array:
+    def _power(self, actions: Array) -> Array:
         """Share of the drive power, (R, steps, springs), for the coming environment step."""
-        array = self.checked(actions, len(rows))
         if self.action_mode == "switch":
-            return np.repeat(array[:, None, :], self._step_intervals * STEPS_PER_INTERVAL, axis=1)
-        timings = GaitTimings.from_action(np.clip(array, -1.0, 1.0), self.gait_period_s)
+            return np.repeat(actions[:, None, :], self._step_intervals * STEPS_PER_INTERVAL, axis=1)
+        timings = GaitTimings.from_action(np.clip(actions, -1.0, 1.0), self.gait_period_s)
         if self.symmetric:
             timings = timings.mirrored()
         return timings.power(SMA_STEP_S)
 
-    def _observe(self, rows: Rows) -> NDArray[np.float32]:
-        seen = observe(self.crawl, rows, self._unit[rows], self._clock_s)
+    def _observe(self, rows: Rows, state: BodyState, progress: Progress) -> NDArray[np.float32]:
+        seen = observe(self.physics, state, progress.heading_rad, self._unit[rows], self._clock_s)
         # Only a diverging robot comes near the limit, or is seen as NaN.
-        return np.clip(np.nan_to_num(seen), -OBSERVATION_LIMIT, OBSERVATION_LIMIT)
+        if not (np.abs(seen) < OBSERVATION_LIMIT).all():
+            seen = np.clip(np.nan_to_num(seen), -OBSERVATION_LIMIT, OBSERVATION_LIMIT)
+        return seen
 
-    def _info(
-        self, rows: Rows, forward: Array, ctrl: Array, elapsed_s: Any, before: Any = None
-    ) -> dict[str, NDArray[Any]]:
-        now = self.crawl.progress(rows)
-        position = self.crawl.simulation.state(rows).com_m
-        elapsed = np.maximum(elapsed_s, CONTROL_INTERVAL_S)
-        x_moved = now.distance_m - before.distance_m if before is not None else np.zeros(len(rows))
-        y_moved = now.lateral_m - before.lateral_m if before is not None else np.zeros(len(rows))
-        return {
-            "x_position": position[:, 0],
-            "y_position": position[:, 1],
-            "distance": now.distance_m,
-            "distance_from_origin": np.hypot(now.distance_m, now.lateral_m),
-            "x_velocity": x_moved / elapsed,
-            "y_velocity": y_moved / elapsed,
-            "reward_forward": forward,
-            "reward_ctrl": ctrl,
-            "energy_j": now.energy_j,
-            "time_s": now.time_s,
-            "failure": np.array([Failure(f).label for f in now.failure], dtype=object),
-        }
+
+def _info(
+    state: BodyState, before: Progress, now: Progress, forward: Array, ctrl: Array
+) -> dict[str, NDArray[Any]]:
+    elapsed = np.maximum(now.time_s - before.time_s, CONTROL_INTERVAL_S)
+    return {
+        "x_position": state.com_m[:, 0],
+        "y_position": state.com_m[:, 1],
+        "distance": now.distance_m,
+        "distance_from_origin": np.hypot(now.distance_m, now.lateral_m),
+        "x_velocity": (now.distance_m - before.distance_m) / elapsed,
+        "y_velocity": (now.lateral_m - before.lateral_m) / elapsed,
+        "reward_forward": forward,
+        "reward_ctrl": ctrl,
+        "energy_j": now.energy_j,
+        "time_s": now.time_s,
+        "failure": np.array([_LABELS[f] for f in now.failure], dtype=object),
+    }
 
 
 def morphologies_for(value: Any, num_envs: int) -> list[Morphology]:

@@ -7,7 +7,8 @@ of them, at any number of threads.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import mujoco
@@ -17,18 +18,37 @@ from numpy.typing import NDArray
 
 from caterpillar_env.errors import SimulationError
 from caterpillar_env.gait import whole
-from caterpillar_env.model import ELEMENTS_PER_SEGMENT, FOOT_RADIUS_M, SMA_STEP_S, Physics, build_model
+from caterpillar_env.model import ELEMENTS_PER_SEGMENT, SMA_STEP_S, Physics, build_model
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.sma import SmaState, advance
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
+_CACHED_BODIES = 256
+_POSITIONS_AND_VELOCITIES = mujoco.mjtStage.mjSTAGE_VEL.value
 FREE_QPOS, FREE_QVEL = 7, 6  # of the head's free joint; the other joints follow
 
 
+class Pose(NamedTuple):
+    """Where R robots are: what a verdict is made of. World frame, SI units.
+
+    While robots move, all but the time is derived at the start of the last physics step (5 ms ago by
+    default), as in Gymnasium's own MuJoCo environments; to derive it anew would cost 3 % of all steps.
+    """
+
+    time_s: Array  #: simulated since reset, (R,)
+    com_m: Array  #: centre of mass of the whole robot, (R, 3)
+    up: Array  #: mean over the elements of their own upward axis, (R, 3)
+    forward: Array  #: mean over the elements of their own forward axis, (R, 3)
+    clearance_m: Array  #: lowest point of feet and elements above the ground, (R,)
+
+
 class BodyState(NamedTuple):
-    """Where R robots are and how they move. World frame, SI units; E elements, J internal joints."""
+    """Where R robots are and how they move: a `Pose` and more; J internal joints.
+
+    `velocity` is as old as the pose; joints and springs are those of this very moment.
+    """
 
     time_s: Array  #: simulated since reset, (R,)
     com_m: Array  #: centre of mass of the whole robot, (R, 3)
@@ -69,21 +89,27 @@ class Simulation:
         self.num_rows = num_rows
         self.simulated_s = 0.0
         self._substeps = whole(SMA_STEP_S, physics.timestep_s, "the thermal step")
-        self._strengths = physics.strengths()
-        nominal = build_model(Morphology(), physics, self._strengths)
+        strengths = physics.strengths()
+        # Bodies that come back (elites, a vector environment's one body) are not built again.
+        self._build = lru_cache(_CACHED_BODIES)(
+            lambda body: build_model(body, physics, strengths, scenery=False)
+        )
+        nominal = self._build(Morphology())
         self._models = [nominal] * num_rows
         self._morphologies = [Morphology()] * num_rows
         self._batch = Batch(nominal, num_rows, threads)
+        self._batch.set_models(self._models)
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._xpos, self._xmat = self._batch.bind("xpos"), self._batch.bind("xmat")
         self._com, self._cvel = self._batch.bind("subtree_com"), self._batch.bind("cvel")
-        self._geom_xpos = self._batch.bind("geom_xpos")
-        names = [nominal.geom(i).name for i in range(nominal.ngeom)]
-        self._feet = [i for i, name in enumerate(names) if name.startswith("foot")]
-        self._shells = [i for i, name in enumerate(names) if name.startswith("shell")]
+        self._geom_xpos, self._warning = self._batch.bind("geom_xpos"), self._batch.warning
+        touching = [i for i in range(nominal.ngeom) if nominal.geom_conaffinity[i]]
+        self._touching = np.array(touching)  # feet and shells, spheres all
+        self._radius = np.tile(nominal.geom_size[touching, 0], (num_rows, 1))
+        self._middles = (np.arange(self._substeps)[:, None] + 0.5) / self._substeps
         self._sma = SmaState.cold(physics.spring, (num_rows, physics.num_springs))
         self._steps = np.zeros(num_rows, dtype=np.int64)  # thermal steps since reset
-        self._radius = np.full(num_rows, Morphology().segment_radius_m)
+        self._elements = slice(1, 1 + physics.num_segments * ELEMENTS_PER_SEGMENT)
         self._ready = np.zeros(num_rows, dtype=bool)
         self.energy_j = np.zeros(num_rows)  # electrical, since reset
 
@@ -113,12 +139,15 @@ class Simulation:
         index = self._rows(rows)
         if len(morphologies) != len(index):
             raise SimulationError(f"{len(index)} rows need as many bodies; got {len(morphologies)}")
+        changed = False
         for row, morphology in zip(index.tolist(), morphologies, strict=True):
             if self._morphologies[row] != morphology:
-                self._models[row] = build_model(morphology, self.physics, self._strengths)
+                self._models[row] = self._build(morphology)
                 self._morphologies[row] = morphology
-                self._radius[row] = morphology.segment_radius_m
-        self._batch.set_models(self._models)
+                self._radius[row] = self._models[row].geom_size[self._touching, 0]
+                changed = True
+        if changed:
+            self._batch.set_models(self._models)
         self._batch.reset(index, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         half = heading_rad / 2
         if heading_rad != 0.0:
@@ -132,7 +161,7 @@ class Simulation:
         self._ready[index] = True
         self._refresh(index)
         if offset is not None:  # the lowest foot stands on the ground again
-            self._qpos[index, 2] -= self.state(index).clearance_m
+            self._qpos[index, 2] -= self.pose(index).clearance_m
             self._refresh(index)
 
     def place(self, qpos: Array, rows: Rows | None = None) -> None:
@@ -153,13 +182,27 @@ class Simulation:
         self._qpos[index], self._qvel[index] = qpos, 0.0
         self._refresh(index)
 
-    def advance(self, power: Array, rows: Rows | None = None, *, trace: bool = False) -> Trace | None:
-        """Advance robots by K thermal steps of `SMA_STEP_S`.
+    def advance(
+        self,
+        power: Array,
+        rows: Rows | None = None,
+        *,
+        trace: bool = False,
+        every: int | None = None,
+        watch: Callable[[Rows, Trace | None], NDArray[np.bool_]] | None = None,
+    ) -> Trace | None:
+        """Advance robots by K thermal steps of `SMA_STEP_S`, or until `watch` stops them.
 
         Args:
             power: share of the drive power per step and spring, in [0, 1], (R, K, num_springs).
             rows: which rows; all by default.
-            trace: whether to return what is needed to draw the steps.
+            trace: whether to trace what is needed to draw the steps.
+            every: thermal steps between two calls of `watch`; K by default.
+            watch: called with the rows that still go on and their trace of these steps; returns which
+                of them are to go on, bool, one per row.
+
+        Returns:
+            The trace of the last steps, those since the last call of `watch`; None unless `trace`.
 
         Raises:
             SimulationError: wrong shape, or a row that was never reset.
@@ -172,68 +215,90 @@ class Simulation:
             )
         if not self._ready[index].all():
             raise SimulationError("reset a row before advancing it")
+        # Temperatures do not depend on the motion: all of them first, and what springs draw.
         before = SmaState(self._sma.enthalpy_j_kg[index], self._sma.fraction[index])
         heated = advance(self.physics.spring, before, np.swapaxes(power, 0, 1), SMA_STEP_S)
-        self._sma.enthalpy_j_kg[index], self._sma.fraction[index] = heated.state
-        energy = heated.power.sum(axis=(0, 2)) * (self.physics.spring.drive_power_w * SMA_STEP_S)
-        self.energy_j[index] += energy
+        control = self._control(before.fraction, heated.fraction)
+        energy_j = heated.power.sum(axis=2) * (self.physics.spring.drive_power_w * SMA_STEP_S)
 
-        record = self._batch.rollout(
-            nstep=power.shape[1] * self._substeps,
-            control=self._control(before.fraction, heated.fraction),
-            record=("qpos",) if trace else (),
-            ids=index,
-        )
-        self._steps[index] += power.shape[1]
-        self.simulated_s += power.shape[1] * SMA_STEP_S * len(index)
-        self._refresh(index)
-        if not trace:
-            return None
-        last = slice(self._substeps - 1, None, self._substeps)
-        path = SmaState(heated.enthalpy_j_kg, heated.fraction)
-        temperature = path.temperature_c(self.physics.spring)
-        return Trace(record["qpos"][:, last], np.swapaxes(temperature, 0, 1))
+        steps, traced = power.shape[1], None
+        every, going = every or steps, np.arange(len(index))
+        for first in range(0, steps, every):
+            if not going.size:
+                break
+            last = min(first + every, steps)
+            now, everyone = index[going], len(going) == len(index)
+            part = control[:, first * self._substeps : last * self._substeps]
+            record = self._batch.rollout(
+                nstep=part.shape[1],
+                control=part if everyone else part[going],
+                record=("qpos",) if trace else (),
+                ids=now,
+            )
+            self._steps[now] += last - first
+            self.simulated_s += (last - first) * SMA_STEP_S * len(now)
+            self._sma.enthalpy_j_kg[now] = heated.enthalpy_j_kg[last - 1, going]
+            self._sma.fraction[now] = heated.fraction[last - 1, going]
+            # Summed one after the other; `sum` would take another order for a single row.
+            self.energy_j[now] += np.add.accumulate(energy_j[first:last, going])[-1]
+            if trace:
+                path = SmaState(
+                    heated.enthalpy_j_kg[first:last, going], heated.fraction[first:last, going]
+                )
+                temperature = np.swapaxes(path.temperature_c(self.physics.spring), 0, 1)
+                traced = Trace(record["qpos"][:, self._substeps - 1 :: self._substeps], temperature)
+            if watch is not None:
+                going = going[watch(now, traced)]
+        return traced
 
     def _control(self, start: Array, fraction: Array) -> Array:
         """Mean fraction during each physics step, linear between thermal steps: (R, K n, springs)."""
-        nodes = np.concatenate([start[None], fraction])  # (K + 1, R, springs)
-        share = ((np.arange(self._substeps) + 0.5) / self._substeps)[:, None, None]
-        fine = nodes[:-1, None] + share * (nodes[1:, None] - nodes[:-1, None])  # (K, n, R, springs)
-        flat = fine.reshape(-1, *start.shape)
-        return np.ascontiguousarray(np.swapaxes(flat, 0, 1))
+        nodes = np.concatenate([start[:, None], np.swapaxes(fraction, 0, 1)], axis=1)  # (R, K + 1, S)
+        fine = (nodes[:, 1:] - nodes[:, :-1])[:, :, None] * self._middles
+        fine += nodes[:, :-1, None]  # (R, K, n, S)
+        flat: Array = fine.reshape(len(start), -1, start.shape[1])
+        return flat
 
     def _refresh(self, index: Rows) -> None:
-        """Make derived fields current; they lag one physics step otherwise."""
-        self._batch.forward(index, stage=mujoco.mjtStage.mjSTAGE_VEL.value)
+        """Make derived fields current, after the state was set by hand."""
+        self._batch.forward(index, stage=_POSITIONS_AND_VELOCITIES)
 
     def diverged(self, rows: Rows | None = None) -> NDArray[np.bool_]:
         """Whether MuJoCo warned of a bad state or a full constraint buffer since reset, (R,)."""
         index = self._rows(rows)
-        finite = np.isfinite(self._qpos[index]).all(axis=1) & np.isfinite(self._qvel[index]).all(axis=1)
-        warned: NDArray[np.bool_] = (self._batch.warning[index, :, 1] > 0).any(axis=1)
+        # A sum is finite only if all its terms are.
+        finite = np.isfinite(self._qpos[index].sum(axis=1) + self._qvel[index].sum(axis=1))
+        warned = self._warning[index, :, 1].any(axis=1)
         diverged: NDArray[np.bool_] = warned | ~finite
         return diverged
 
-    def state(self, rows: Rows | None = None) -> BodyState:
-        """Fresh copies of where the rows are."""
+    def pose(self, rows: Rows | None = None) -> Pose:
+        """Where the rows are, as fresh arrays."""
         index = self._rows(rows)
-        elements = slice(1, 1 + self.physics.num_segments * ELEMENTS_PER_SEGMENT)
-        com = self._com[index, 1]
-        matrices = self._xmat[index, elements].reshape(len(index), -1, 3, 3)
-        shells = self._geom_xpos[index][:, self._shells, 2].min(axis=1) - self._radius[index]
-        feet = self._geom_xpos[index][:, self._feet, 2].min(axis=1) - FOOT_RADIUS_M
-        spatial = self._cvel[index, elements]  # angular; linear at the centre of mass of the robot
-        angular, linear = spatial[..., :3], spatial[..., 3:]
-        arm = self._xpos[index, elements] - com[:, None]
-        linear = linear + np.cross(angular, arm)
+        matrices = self._xmat[index, self._elements]
+        axes = np.add.reduce(matrices, axis=1) / matrices.shape[1]  # row-major: x, y, z are columns
+        lowest = self._geom_xpos[index[:, None], self._touching, 2] - self._radius[index]
+        return Pose(
+            time_s=self._steps[index].astype(np.float64) * SMA_STEP_S,
+            com_m=self._com[index, 1],
+            up=axes[:, 2::3],
+            forward=axes[:, 0::3],
+            clearance_m=np.minimum.reduce(lowest, axis=1),
+        )
+
+    def state(self, rows: Rows | None = None) -> BodyState:
+        """Where the rows are and how they move, as fresh arrays."""
+        index = self._rows(rows)
+        pose = self.pose(index)
+        spatial = self._cvel[index, self._elements]  # angular; linear at the robot's centre of mass
+        angular = spatial[..., :3]
+        arm = self._xpos[index, self._elements] - pose.com_m[:, None]
+        spatial[..., 3:] += _cross(angular, arm)
+        mean = np.add.reduce(spatial, axis=1) / spatial.shape[1]
         sma = SmaState(self._sma.enthalpy_j_kg[index], self._sma.fraction[index])
         return BodyState(
-            time_s=self._steps[index].astype(np.float64) * SMA_STEP_S,
-            com_m=com,
-            up=matrices[..., 2].mean(axis=1),
-            forward=matrices[..., 0].mean(axis=1),
-            clearance_m=np.minimum(shells, feet),
-            velocity=np.concatenate([linear.mean(axis=1), angular.mean(axis=1)], axis=-1),
+            *pose,
+            velocity=mean[:, [3, 4, 5, 0, 1, 2]],
             joint_position=self._qpos[index, FREE_QPOS:],
             joint_velocity=self._qvel[index, FREE_QVEL:],
             temperature_c=sma.temperature_c(self.physics.spring),
@@ -246,11 +311,17 @@ class Simulation:
         return position
 
     def drawable(self, row: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """A copy of a row's model and data, its derived fields computed, to render."""
-        model = self._batch.get_model(row)
-        data = self._batch.get_data(row)
+        """A row to render: a model with scenery, and data in its pose with all derived fields."""
+        model = build_model(self._morphologies[row], self.physics, self.physics.strengths())
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = self._qpos[row], self._qvel[row]
         mujoco.mj_forward(model, data)
         return model, data
 
     def _rows(self, rows: Rows | None) -> Rows:
         return np.arange(self.num_rows) if rows is None else rows
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """`np.cross` of (..., 3) arrays, which takes several times as long for a few vectors."""
+    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]

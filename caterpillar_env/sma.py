@@ -142,10 +142,8 @@ def cooling_branch(spring: SmaSpring, temperature_c: Array) -> Array:
 class Branches(NamedTuple):
     """The two branches tabulated over enthalpy, linear in between; outside they are 0 and 1."""
 
-    heating_enthalpy: Array
-    heating_fraction: Array
-    cooling_enthalpy: Array
-    cooling_fraction: Array
+    enthalpy: Array
+    fraction: NDArray[np.complex128]  #: heating branch the real part, cooling the imaginary one
 
     @classmethod
     def of(cls, spring: SmaSpring, nodes: int = 1025) -> Branches:
@@ -154,7 +152,10 @@ class Branches(NamedTuple):
         cool_c = np.linspace(spring.martensite_finish_c, spring.martensite_start_c, nodes)
         heat_xi, cool_xi = heating_branch(spring, heat_c), cooling_branch(spring, cool_c)
         c, latent = spring.specific_heat_j_kg_k, spring.latent_heat_j_kg
-        return cls(c * heat_c + latent * heat_xi, heat_xi, c * cool_c + latent * cool_xi, cool_xi)
+        heat_h, cool_h = c * heat_c + latent * heat_xi, c * cool_c + latent * cool_xi
+        both = np.union1d(heat_h, cool_h)
+        fraction = np.interp(both, heat_h, heat_xi) + 1j * np.interp(both, cool_h, cool_xi)
+        return cls(both, fraction)
 
 
 class SmaState(NamedTuple):
@@ -190,7 +191,6 @@ class SmaStep(NamedTuple):
     fraction: Array  #: xi after each step, shape (K, *S)
     enthalpy_j_kg: Array  #: H after each step, likewise
     power: Array  #: share of the drive power really drawn in each step, shape (K, *S)
-    loss_j_kg: Array  #: heat given to the air over all steps, shape S
 
 
 def advance(spring: SmaSpring, state: SmaState, power: Array, step_s: float) -> SmaStep:
@@ -214,29 +214,33 @@ def advance(spring: SmaSpring, state: SmaState, power: Array, step_s: float) -> 
     span_s = -tau * math.expm1(-step_s / tau)  # the step's length seen through exponential decay
     gain = spring.heating_w_kg * span_s
     decay = spring.cooling_w_kg_k * span_s / c  # of H over ambient, at frozen xi
-    ambient = c * spring.ambient_c
-    hot = c * spring.cut_off_c + latent  # the cut-off lies above Af, where xi is 1
-    branches = spring.branches
+    inflow = decay * c * spring.ambient_c
+    cut_off = c * spring.cut_off_c + latent  # it lies above Af, where xi is 1
+    hot = np.maximum(state.enthalpy_j_kg, cut_off)
+    # A spring that is hotter to begin with is not powered.
+    supply = np.multiply(power, gain * (hot <= cut_off), order="C") + inflow
 
-    enthalpy, fraction = state
-    fractions, enthalpies, drawn = (np.empty_like(power) for _ in range(3))
-    for k in range(power.shape[0]):
-        unpowered = enthalpy - decay * (enthalpy - latent * fraction - ambient)
-        enthalpy = np.minimum(unpowered + gain * power[k], np.maximum(hot, unpowered))
-        drawn[k] = enthalpy - unpowered
-        fraction = np.minimum(
-            np.maximum(
-                fraction,
-                np.interp(enthalpy, branches.heating_enthalpy, branches.heating_fraction),
-            ),
-            np.interp(enthalpy, branches.cooling_enthalpy, branches.cooling_fraction),
-        )
-        fractions[k], enthalpies[k] = fraction, enthalpy
-    drawn *= 1.0 / gain if gain > 0 else 0.0
-    # The balance holds to rounding, because the loss is what is missing from it.
-    supplied = spring.heating_w_kg * step_s * drawn.sum(axis=0)
-    after = SmaState(enthalpy, fraction)
-    return SmaStep(after, fractions, enthalpies, drawn, supplied - (enthalpy - state.enthalpy_j_kg))
+    # Written for few springs, where the number of calls counts: H and xi are one array.
+    weight = np.empty((2, *hot.shape))
+    weight[0], weight[1] = 1.0 - decay, decay * latent
+    path = np.empty((len(power) + 1, *weight.shape))
+    path[0] = state
+    parts = np.empty_like(weight)
+    kept, released = parts
+    nodes, branches = spring.branches
+    steps = zip(path[:-1], path[:-1, 1], supply, path[1:, 0], path[1:, 1], strict=True)
+    for now, xi, supplied, enthalpy, fraction in steps:
+        np.multiply(now, weight, out=parts)
+        np.add(kept, released, out=kept)
+        np.add(kept, supplied, out=kept)
+        np.minimum(kept, hot, out=enthalpy)
+        limits = np.interp(enthalpy, nodes, branches)
+        np.maximum(xi, limits.real, out=kept)
+        np.minimum(kept, limits.imag, out=fraction)
+    flows = path[:-1] * weight
+    unpowered = flows[:, 0] + flows[:, 1] + inflow
+    drawn = (path[1:, 0] - unpowered) * (1.0 / gain if gain > 0 else 0.0)
+    return SmaStep(SmaState(*path[-1]), path[1:, 1], path[1:, 0], drawn)
 
 
 def spring_force(spring: SmaSpring, length_m: Array, fraction: Array) -> Array:

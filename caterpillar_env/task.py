@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from caterpillar_env.errors import SimulationError
 from caterpillar_env.gait import spring_names, whole
 from caterpillar_env.model import CONTROL_INTERVAL_S, SMA_STEP_S, Physics, joint_names
 from caterpillar_env.morphology import NAMES, Morphology
-from caterpillar_env.simulation import Array, BodyState, Rows, Simulation, Trace
+from caterpillar_env.simulation import Array, BodyState, Pose, Rows, Simulation, Trace
 
 #: Saunders 2009, section IV: distance travelled within 30 s of simulated time.
 EPISODE_S = 30.0
@@ -42,6 +43,9 @@ class Failure(IntEnum):
         return "ok" if self is Failure.NONE else self.name.lower()
 
 
+_NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # members are slow to look up
+
+
 @dataclass(frozen=True)
 class Thresholds:
     """Where a failure begins, judged on the whole body every control interval.
@@ -61,7 +65,7 @@ class Thresholds:
 
 
 def judge(
-    state: BodyState,
+    pose: Pose,
     lateral_m: Array,
     heading_rad: Array,
     diverged: NDArray[np.bool_],
@@ -70,27 +74,24 @@ def judge(
     """The failure of each of R robots, as values of `Failure`, shape (R,).
 
     Args:
-        state: where the robots are.
+        pose: where the robots are.
         lateral_m: distance of the centre of mass from the starting line, (R,).
         heading_rad: heading relative to the start, (R,).
         diverged: whether the integration broke down, (R,).
         thresholds: where a failure begins.
     """
-    up = state.up[:, 2]
-    veered = (np.abs(heading_rad) > thresholds.veered_heading_rad) | (
-        np.abs(lateral_m) > thresholds.veered_lateral_m
-    )
-    return np.select(
-        [
-            diverged,
-            up < thresholds.flipped_up,
-            up < thresholds.tipped_up,
-            state.clearance_m > thresholds.jumped_clearance_m,
-            veered,
-        ],
-        [Failure.DIVERGED, Failure.FLIPPED, Failure.TIPPED, Failure.JUMPED, Failure.VEERED],
-        Failure.NONE,
-    ).astype(np.int8)
+    up = pose.up[:, 2]
+    failure = np.zeros(len(up), dtype=np.int8)
+    for fails, code in (  # the graver a failure, the later it is written
+        (np.abs(heading_rad) > thresholds.veered_heading_rad, Failure.VEERED),
+        (np.abs(lateral_m) > thresholds.veered_lateral_m, Failure.VEERED),
+        (pose.clearance_m > thresholds.jumped_clearance_m, Failure.JUMPED),
+        (up < thresholds.tipped_up, Failure.TIPPED),
+        (up < thresholds.flipped_up, Failure.FLIPPED),
+        (diverged, Failure.DIVERGED),
+    ):
+        failure[fails] = code
+    return failure
 
 
 class Progress(NamedTuple):
@@ -129,8 +130,9 @@ class Crawl:
         self.thresholds = thresholds or Thresholds()
         self.stop_on_failure = stop_on_failure
         self.failure = np.zeros(num_rows, dtype=np.int8)
-        self._start_m = np.zeros((num_rows, 3))
-        self._heading_rad = np.zeros(num_rows)
+        self._start_m = np.zeros((num_rows, 2))
+        self._direction = np.zeros((num_rows, 2))  # cosine and sine of the starting heading
+        self._account = np.zeros((num_rows, 5))  # the first five fields of `Progress`
 
     def reset(
         self,
@@ -144,8 +146,10 @@ class Crawl:
         self.simulation.reset(morphologies, rows, heading_rad=heading_rad, offset=offset)
         index = self._rows(rows)
         self.failure[index] = Failure.NONE
-        self._start_m[index] = self.simulation.state(index).com_m
-        self._heading_rad[index] = heading_rad
+        pose = self.simulation.pose(index)
+        self._start_m[index] = pose.com_m[:, :2]
+        self._direction[index] = np.cos(heading_rad), np.sin(heading_rad)
+        self._account[index] = self._measure(index, pose)
 
     def run(
         self,
@@ -175,58 +179,62 @@ class Crawl:
                 f"power must have shape ({len(index)}, n * {STEPS_PER_INTERVAL}, "
                 f"{self.physics.num_springs}); got {power.shape}"
             )
-        going = np.flatnonzero(~self._stopped(index))
-        for first in range(0, steps, STEPS_PER_INTERVAL):
-            if intervals is not None:
-                going = going[intervals[going] > first // STEPS_PER_INTERVAL]
-            if not going.size:
-                break
-            chunk = power[going, first : first + STEPS_PER_INTERVAL]
-            traced = self.simulation.advance(chunk, index[going], trace=trace)
-            self._judge(index[going])
+        limit = np.full(self.simulation.num_rows, steps // STEPS_PER_INTERVAL)
+        if intervals is not None:
+            limit[index] = intervals
+        going = (limit[index] > 0) & ~self._stopped(index)
+        if not going.all():
+            index, power = index[going], power[going]
+        if not index.size:
+            return
+        number = 0
+
+        def watch(rows: Rows, traced: Trace | None) -> NDArray[np.bool_]:
+            nonlocal number
+            number += 1
+            self._judge(rows)
             if on_interval is not None:
                 on_interval(traced)
-            going = going[~self._stopped(index[going])]
+            return (limit[rows] > number) & ~self._stopped(rows)
+
+        self.simulation.advance(power, index, trace=trace, every=STEPS_PER_INTERVAL, watch=watch)
 
     def progress(self, rows: Rows | None = None) -> Progress:
-        """What the robots have achieved since reset."""
+        """What the robots have achieved since reset, as of the end of their last interval."""
         index = self._rows(rows)
-        return self._progress(index, self.simulation.state(index))
+        time_s, distance_m, lateral_m, heading_rad, energy_j = self._account[index].T
+        failure = self.failure[index]
+        return Progress(time_s, distance_m, lateral_m, heading_rad, energy_j, failure)
 
-    def _progress(self, index: Rows, state: BodyState) -> Progress:
-        moved = state.com_m - self._start_m[index]
-        cosine, sine = np.cos(self._heading_rad[index]), np.sin(self._heading_rad[index])
-        forward_x, forward_y = state.forward[:, 0], state.forward[:, 1]
-        return Progress(
-            time_s=state.time_s,
-            distance_m=moved[:, 0] * cosine + moved[:, 1] * sine,
-            lateral_m=moved[:, 1] * cosine - moved[:, 0] * sine,
-            heading_rad=np.arctan2(
-                forward_y * cosine - forward_x * sine, forward_x * cosine + forward_y * sine
-            ),
-            energy_j=self.simulation.energy_j[index],
-            failure=self.failure[index],
-        )
+    def _measure(self, index: Rows, pose: Pose) -> Array:
+        """The first five fields of `Progress`, (R, 5)."""
+        account = np.empty((len(index), 5))
+        both = np.empty((len(index), 2, 2))  # the way and the forward axis, horizontal
+        np.subtract(pose.com_m[:, :2], self._start_m[index], out=both[:, 0])
+        both[:, 1] = pose.forward[:, :2]
+        cosine, sine = self._direction[index].T[..., None]
+        x, y = both[..., 0], both[..., 1]
+        along, across = x * cosine + y * sine, y * cosine - x * sine
+        account[:, 0] = pose.time_s
+        account[:, 1], account[:, 2] = along[:, 0], across[:, 0]
+        np.arctan2(across[:, 1], along[:, 1], out=account[:, 3])
+        account[:, 4] = self.simulation.energy_j[index]
+        return account
 
     def _judge(self, index: Rows) -> None:
-        state = self.simulation.state(index)
-        progress = self._progress(index, state)
-        found = judge(
-            state,
-            progress.lateral_m,
-            progress.heading_rad,
-            self.simulation.diverged(index),
-            self.thresholds,
-        )
-        # The first failure stays; only a later divergence is told instead.
-        keep = (self.failure[index] != Failure.NONE) & (found != Failure.DIVERGED)
-        self.failure[index] = np.where(keep, self.failure[index], found)
+        pose = self.simulation.pose(index)
+        account = self._account[index] = self._measure(index, pose)
+        _, _, lateral_m, heading_rad, _ = account.T
+        diverged = self.simulation.diverged(index)
+        found = judge(pose, lateral_m, heading_rad, diverged, self.thresholds)
+        if found.any():
+            # The first failure stays; only a later divergence is told instead.
+            keep = (self.failure[index] != _NONE) & (found != _DIVERGED)
+            self.failure[index] = np.where(keep, self.failure[index], found)
 
     def _stopped(self, index: Rows) -> NDArray[np.bool_]:
         code = self.failure[index]
-        stopped: NDArray[np.bool_] = (
-            code != Failure.NONE if self.stop_on_failure else code == Failure.DIVERGED
-        )
+        stopped: NDArray[np.bool_] = code != _NONE if self.stop_on_failure else code == _DIVERGED
         return stopped
 
     def _rows(self, rows: Rows | None) -> Rows:
@@ -266,45 +274,59 @@ _RATE_SCALE_RAD_S = 1.0
 _HEIGHT_SCALE_M = 0.024
 
 
+@lru_cache
+def _joint_scales(num_segments: int) -> Array:
+    """What 1 stands for in positions and velocities of the internal joints, (2, J)."""
+    return np.array(
+        [
+            (_AXIAL_SCALE_M, _VELOCITY_SCALE_M_S)
+            if name.startswith("axial")
+            else (_ANGLE_SCALE_RAD, _RATE_SCALE_RAD_S)
+            for name in joint_names(num_segments)
+        ]
+    ).T
+
+
 def observe(
-    crawl: Crawl, rows: Rows | None, morphology: Array, clock_period_s: float | None
+    physics: Physics,
+    state: BodyState,
+    heading_rad: Array,
+    morphology: Array,
+    clock_period_s: float | None,
 ) -> NDArray[np.float32]:
     """What robots sense, shape (R, len(observation_names)), float32; see the environment's table.
 
     Args:
-        crawl: the robots.
-        rows: which of them.
+        physics: what they are made of.
+        state: where they are and how they move.
+        heading_rad: their heading relative to the start, (R,).
         morphology: their bodies scaled to [-1, 1], (R, 8).
         clock_period_s: gait period whose phase is seen, s; None leaves it out.
     """
-    state = crawl.simulation.state(rows)
-    progress = crawl.progress(rows)
-    spring = crawl.physics.spring
-    axial = np.array([n.startswith("axial") for n in joint_names(crawl.physics.num_segments)])
-    cosine, sine = np.cos(progress.heading_rad), np.sin(progress.heading_rad)
+    spring = physics.spring
+    position_scale, velocity_scale = _joint_scales(physics.num_segments)
     # Horizontal vectors are seen in the frame of the body's own heading.
-    heading = np.arctan2(state.forward[:, 1], state.forward[:, 0])
-    turn = np.zeros((len(heading), 3, 3))
-    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(heading)
-    turn[:, 0, 1], turn[:, 1, 0], turn[:, 2, 2] = np.sin(heading), -np.sin(heading), 1.0
-
-    def seen(vector: Array) -> Array:
-        turned: Array = np.einsum("rij,rj->ri", turn, vector)
-        return turned
-
+    heading = np.arctan2(state.forward[:, 1], state.forward[:, 0])[:, None]
+    cosine, sine = np.cos(heading), np.sin(heading)
+    vectors = np.concatenate([state.up, state.velocity], axis=1).reshape(-1, 3, 3)
+    x, y = vectors[..., 0].copy(), vectors[..., 1].copy()
+    vectors[..., 0] = cosine * x + sine * y
+    vectors[..., 1] = cosine * y - sine * x
     parts = [
-        state.joint_position / np.where(axial, _AXIAL_SCALE_M, _ANGLE_SCALE_RAD),
-        state.joint_velocity / np.where(axial, _VELOCITY_SCALE_M_S, _RATE_SCALE_RAD_S),
-        seen(state.up),
-        np.stack([cosine, sine, state.com_m[:, 2] / _HEIGHT_SCALE_M], axis=1),
-        seen(state.velocity[:, :3]) / _VELOCITY_SCALE_M_S,
-        seen(state.velocity[:, 3:]) / _RATE_SCALE_RAD_S,
+        state.joint_position / position_scale,
+        state.joint_velocity / velocity_scale,
+        vectors[:, 0],
+        np.cos(heading_rad)[:, None],
+        np.sin(heading_rad)[:, None],
+        state.com_m[:, 2:] / _HEIGHT_SCALE_M,
+        vectors[:, 1] / _VELOCITY_SCALE_M_S,
+        vectors[:, 2] / _RATE_SCALE_RAD_S,
         (state.temperature_c - spring.ambient_c) / (spring.cut_off_c - spring.ambient_c),
         state.fraction,
     ]
     if clock_period_s is not None:
-        phase = 2 * np.pi * state.time_s / clock_period_s
-        parts.append(np.stack([np.cos(phase), np.sin(phase)], axis=1))
+        phase = (2 * np.pi / clock_period_s) * state.time_s[:, None]
+        parts += [np.cos(phase), np.sin(phase)]
     parts.append(morphology)
     observed: NDArray[np.float32] = np.concatenate(parts, axis=1).astype(np.float32)
     return observed

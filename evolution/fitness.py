@@ -16,6 +16,7 @@ from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure
 from evolution.genome import decode
 
 Array = NDArray[np.float64]
+_CHUNK_STEPS = 10 * STEPS_PER_INTERVAL
 
 
 class Outcomes(NamedTuple):
@@ -71,9 +72,12 @@ def simulate(
     power = timings.mirrored().power(SMA_STEP_S)
     crawl = Crawl(len(morphologies), physics, threads)
     crawl.reset(morphologies)
-    # Interval by interval, so that no array of the whole 30 s is made.
-    for first in range(0, steps, STEPS_PER_INTERVAL):
+    # Some intervals at a time, so that no array of the whole 30 s is made.
+    first = 0
+    while first < steps:
         phase = first % power.shape[1]
-        crawl.run(power[:, phase : phase + STEPS_PER_INTERVAL], on_interval=on_interval, trace=trace)
+        part = power[:, phase : phase + min(_CHUNK_STEPS, steps - first)]
+        crawl.run(part, on_interval=on_interval, trace=trace)
+        first += part.shape[1]
     done = crawl.progress()
     return Outcomes(done.failure, done.distance_m, done.energy_j, done.time_s)

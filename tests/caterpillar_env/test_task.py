@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from caterpillar_env import Morphology, Physics, SimulationError
-from caterpillar_env.simulation import BodyState
+from caterpillar_env.simulation import Pose
 from caterpillar_env.task import Crawl, Failure, Thresholds, judge, observation_names, observe
 
 BODY = Morphology()
@@ -14,17 +14,12 @@ JUMP_AT_ONCE = Thresholds(jumped_clearance_m=-1.0)  # everything is "clear of th
 def seen(up_z=1.0, clearance_m=0.0):
     """A robot as `judge` sees it."""
     nothing = np.zeros((1, 3))
-    return BodyState(
+    return Pose(
         time_s=np.zeros(1),
         com_m=nothing,
         up=np.array([[0.0, 0.0, up_z]]),
         forward=np.array([[1.0, 0.0, 0.0]]),
         clearance_m=np.array([clearance_m]),
-        velocity=np.zeros((1, 6)),
-        joint_position=np.zeros((1, 11)),
-        joint_velocity=np.zeros((1, 11)),
-        temperature_c=np.full((1, 12), 25.0),
-        fraction=np.zeros((1, 12)),
     )
 
 
@@ -196,6 +191,13 @@ def test_run_gives_the_traces_of_each_interval():
     np.testing.assert_array_equal(traces[-1].qpos[1, -1], robots.simulation.qpos(1))
 
 
+def sense(robots, morphology, clock_s):
+    """What all of them see, their bodies put at `morphology`."""
+    state, progress = robots.simulation.state(), robots.progress()
+    bodies = np.full((len(state.com_m), 8), morphology)
+    return observe(robots.physics, state, progress.heading_rad, bodies, clock_s)
+
+
 @pytest.mark.parametrize("heading_rad", [math.pi / 3, -2.5])
 def test_progress_and_senses_do_not_depend_on_the_compass(heading_rad):
     """The same motion relative to the start gives the same account, whatever the starting heading."""
@@ -220,7 +222,8 @@ def test_progress_and_senses_do_not_depend_on_the_compass(heading_rad):
         simulation._qvel[0] = rates
         simulation._qvel[0, :3] = compass @ rates[:3]  # linear in the world, angular in the body
         simulation._refresh(np.array([0]))
-        seen.append(observe(robots, None, np.zeros((1, 8)), 3.0))
+        robots._judge(np.array([0]))
+        seen.append(sense(robots, 0.0, 3.0))
         progresses.append(robots.progress())
     np.testing.assert_allclose(seen[1], seen[0], rtol=1e-5, atol=1e-5)
     for one, other in zip(*progresses, strict=True):
@@ -266,7 +269,7 @@ def test_every_entry_of_an_observation_is_named_once(segments, clock):
     robots = Crawl(2, physics, 1)
     robots.reset([BODY] * 2)
     names = observation_names(physics, clock=clock)
-    values = observe(robots, None, np.zeros((2, 8)), 3.0 if clock else None)
+    values = sense(robots, 0.0, 3.0 if clock else None)
     assert values.shape == (2, len(names))
     assert values.dtype == np.float32
     assert len(set(names)) == len(names)
@@ -279,7 +282,7 @@ def test_senses_carry_their_documented_scales():
     robots.run(power)
     state, progress = robots.simulation.state(), robots.progress()
     names = observation_names(Physics(), clock=True)
-    values = dict(zip(names, observe(robots, None, np.full((1, 8), 0.25), 2.0)[0], strict=True))
+    values = dict(zip(names, sense(robots, 0.25, 2.0)[0], strict=True))
     forward = state.forward[0]
     left = np.cross([0, 0, 1], forward / np.linalg.norm(forward[:2]))
     expected = {

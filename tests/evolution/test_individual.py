@@ -76,9 +76,9 @@ def test_loaded_robot_crawls_as_its_genome_did(individual, tmp_path):
 
 
 def test_another_timestep_is_another_simulation_of_the_same_robot(individual):
-    own = individual.simulate(threads=1, duration_s=3.0)
-    same = individual.simulate(SHORT.timestep_s, threads=1, duration_s=3.0)
-    finer = individual.simulate(SHORT.timestep_s / 2, threads=1, duration_s=3.0)
+    own = individual.simulate(threads=1, duration_s=2.0)
+    same = individual.simulate(SHORT.timestep_s, threads=1, duration_s=2.0)
+    finer = individual.simulate(SHORT.timestep_s / 2, threads=1, duration_s=2.0)
     assert same.distance_m[0] == own.distance_m[0]
     assert finer.distance_m[0] != own.distance_m[0]
     assert finer.energy_j[0] == own.energy_j[0]  # heat does not depend on the motion
