@@ -1,0 +1,204 @@
+"""Environment steps against the bare engine, and against what users would pick instead.
+
+    python -m benchmarks.environments           # about fifteen minutes on two cores
+    python -m benchmarks.environments --single  # only the single environments
+
+Ours, the limit and the peers make the same physics steps: the engine's calls of our environment are
+recorded and repeated with nothing around them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
+from numpy.typing import NDArray
+
+import caterpillar_env  # noqa: F401  registers the environments
+from benchmarks.harness import report, rounds, spread, timed
+from benchmarks.recording import Recording, recorded
+from caterpillar_env.sma import SmaState, advance
+
+Array = NDArray[np.float64]
+IDS = {"switch": "CaterpillarSMASwitch-v0", "timing": "CaterpillarSMA-v0"}
+SEED = 0
+
+
+def actions_of(space: gymnasium.Space[Any], count: int) -> list[Any]:
+    """Random actions, the same at every call."""
+    space.seed(SEED)
+    return [space.sample() for _ in range(count)]
+
+
+def run(env: Any, actions: list[Any]) -> Callable[[], float]:
+    """Seconds per step of an environment that is reset first."""
+
+    def cost() -> float:
+        env.reset(seed=SEED)
+
+        def work() -> None:
+            for action in actions:
+                env.step(action)
+
+        return timed(work) / len(actions)
+
+    return cost
+
+
+def repeat(recording: Recording, threads: int, steps: int) -> Callable[[], float]:
+    """Seconds per environment step of the recorded engine calls alone."""
+
+    def cost() -> float:
+        batch = recording.batch(threads)
+        return timed(lambda: recording.repeat(batch)) / steps
+
+    return cost
+
+
+def vector(mode: str, count: int, steps: int, repeats: int) -> dict[str, Any]:
+    """`make_vec` against bare Batch, SyncVectorEnv and AsyncVectorEnv."""
+    native: Any = gymnasium.make_vec(IDS[mode], num_envs=count, threads=0)
+    single = gymnasium.make_vec(IDS[mode], num_envs=count, threads=1)
+    actions = actions_of(native.action_space, steps)
+    native.reset(seed=SEED)
+    with recorded(native.unwrapped._episodes.crawl.simulation) as recording:
+        for action in actions:
+            native.step(action)
+    contestants = {
+        "native": run(native, actions),
+        "1 thread": run(single, actions),
+        "bare": repeat(recording, 0, steps),
+    }
+    peers: list[Any] = []
+    makers = [lambda: gymnasium.make(IDS[mode])] * count
+    if count <= 256:
+        peers.append(SyncVectorEnv(makers))
+        contestants["sync"] = run(peers[-1], actions)
+    if count <= 64:
+        peers.append(AsyncVectorEnv(makers))
+        contestants["async"] = run(peers[-1], actions)
+    costs = rounds(contestants, repeats)
+    for env in (native, single, *peers):
+        env.close()
+    row: dict[str, Any] = {
+        "mode": mode,
+        "envs": count,
+        "share of bare": spread(costs["bare"] / costs["native"]),
+        "2 threads over 1": spread(costs["1 thread"] / costs["native"]),
+    }
+    for peer in ("sync", "async"):
+        row[f"over {peer}"] = spread(costs[peer] / costs["native"]) if peer in costs else "not run"
+    row["ms per step"] = spread(1e3 * costs["native"])
+    return row
+
+
+def single(mode: str, steps: int, repeats: int) -> dict[str, Any]:
+    """`gymnasium.make` against a bare loop over `mj_step`, and one that heats the springs as well."""
+    env: Any = gymnasium.make(IDS[mode])
+    actions = actions_of(env.action_space, steps)
+    env.reset(seed=SEED)
+    simulation = env.unwrapped._episodes.crawl.simulation
+    with recorded(simulation) as recording:
+        for action in actions:
+            env.step(action)
+    model = recording.models[0]
+    controls = np.concatenate([control[0] for _, control, _ in recording.rollouts])
+    costs = rounds(
+        {
+            "ours": run(env, actions),
+            "bare": lambda: timed(lambda: _steps(model, controls)) / steps,
+            "batch": repeat(recording, 1, steps),
+            "plain": lambda: timed(lambda: _plain(env, model, len(controls))) / steps,
+        },
+        repeats,
+    )
+    return {
+        "environment": IDS[mode],
+        "share of bare mj_step": spread(costs["bare"] / costs["ours"]),
+        "share of bare Batch": spread(costs["batch"] / costs["ours"]),
+        "a plain loop over mj_step and SMA, over ours": spread(costs["plain"] / costs["ours"]),
+        "us per step": spread(1e6 * costs["ours"]),
+    }
+
+
+def _steps(model: mujoco.MjModel, controls: Array) -> None:
+    data = mujoco.MjData(model)
+    for control in controls:
+        data.ctrl[:] = control
+        mujoco.mj_step(model, data)
+
+
+def _plain(env: Any, model: mujoco.MjModel, steps: int) -> None:
+    """What one would write first: heat the springs, set the controls, step. No task around it."""
+    data = mujoco.MjData(model)
+    physics = env.unwrapped._episodes.physics
+    state = SmaState.cold(physics.spring, (physics.num_springs,))
+    power = np.random.default_rng(SEED).integers(0, 2, (1, physics.num_springs)).astype(float)
+    for step in range(steps):
+        if step % 2 == 0:
+            state = advance(physics.spring, state, power, 0.01).state
+        data.ctrl[:] = state.fraction
+        mujoco.mj_step(model, data)
+
+
+def ant(steps: int, repeats: int) -> dict[str, Any]:
+    """Gymnasium's own Ant-v5 against the bare loop that it makes."""
+    env: Any = gymnasium.make("Ant-v5")
+    actions = actions_of(env.action_space, steps)
+    model, skip = env.unwrapped.model, env.unwrapped.frame_skip
+
+    def bare() -> None:
+        data = mujoco.MjData(model)
+        for action in actions:
+            data.ctrl[:] = action
+            mujoco.mj_step(model, data, nstep=skip)
+
+    def ours() -> float:
+        env.reset(seed=SEED)
+
+        def work() -> None:
+            for action in actions:
+                if env.step(action)[2]:
+                    env.reset()
+
+        return timed(work) / steps
+
+    costs = rounds({"ant": ours, "bare": lambda: timed(bare) / steps}, repeats)
+    return {
+        "environment": "Ant-v5 (Gymnasium)",
+        "share of bare mj_step": spread(costs["bare"] / costs["ant"]),
+        "us per step": spread(1e6 * costs["ant"]),
+    }
+
+
+def main() -> None:
+    """Both tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--envs", default="1,8,64,256,1024", help="sizes of the vector environments")
+    parser.add_argument("--single", action="store_true", help="only the single environments")
+    args = parser.parse_args()
+    rows = [single("switch", 280, args.repeats), single("timing", 5, args.repeats)]
+    rows.append(ant(2000, args.repeats))
+    report("single environments", rows)
+    if args.single:
+        return
+    counts = [int(count) for count in args.envs.split(",")]
+    rows = []
+    # Within one episode, and not much longer for many robots than for few.
+    for mode, longest, total, most in (("switch", 280, 4000, 1024), ("timing", 6, 100, 64)):
+        for count in (count for count in counts if count <= most):
+            steps = max(2, min(longest, round(total / count)))
+            rows.append(vector(mode, count, steps, args.repeats))
+            print(rows[-1], file=sys.stderr)
+    report("vector environments", rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""What the benchmarks share: contestants timed in turns, ratios within a round, one line of JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Mapping
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+Array = NDArray[np.float64]
+
+
+def timed(work: Callable[[], Any]) -> float:
+    """Wall time of `work()`, s."""
+    started = time.perf_counter()
+    work()
+    return time.perf_counter() - started
+
+
+def rounds(contestants: Mapping[str, Callable[[], float]], repeats: int) -> dict[str, Array]:
+    """The cost that each contestant returns, once a round, shape (repeats,).
+
+    Every round runs all of them one after the other and the next one backwards, so that a slow spell of
+    the machine, or the heat of the one before, falls on all alike.
+    """
+    costs: dict[str, list[float]] = {name: [] for name in contestants}
+    for number in range(repeats):
+        order = list(contestants) if number % 2 == 0 else list(contestants)[::-1]
+        for name in order:
+            costs[name].append(contestants[name]())
+        print(".", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    return {name: np.array(values) for name, values in costs.items()}
+
+
+def spread(values: Array) -> dict[str, float]:
+    """Median, least and greatest."""
+    return {"median": float(np.median(values)), "min": float(values.min()), "max": float(values.max())}
+
+
+def machine() -> dict[str, Any]:
+    """Where the figures come from."""
+    model = platform.processor() or platform.machine()
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            names = [line.split(":", 1)[1].strip() for line in file if line.startswith("model name")]
+        model = names[0] if names else model
+    except OSError:
+        pass
+    packages = ("mujoco", "gymnasium", "numpy")
+    return {
+        "processor": model,
+        "cores": len(os.sched_getaffinity(0)),
+        "python": platform.python_version(),
+        **{name: version(name) for name in packages},
+    }
+
+
+def report(name: str, rows: list[dict[str, Any]], **more: Any) -> None:
+    """A table for people, then the same as a line of JSON on standard output."""
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    table = Table(title=name, title_justify="left")
+    for column in columns:
+        table.add_column(column)
+    for row in rows:
+        table.add_row(*(_cell(row.get(column, "")) for column in columns))
+    Console(stderr=True, width=None if sys.stderr.isatty() else 150).print(table)
+    print(json.dumps({"benchmark": name, "machine": machine(), "rows": rows, **more}), flush=True)
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, dict):
+        return f"{value['median']:.3g} ({value['min']:.3g} to {value['max']:.3g})"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

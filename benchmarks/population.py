@@ -1,0 +1,140 @@
+"""Evaluating a population against the bare cost of the physics steps that it made.
+
+python -m benchmarks.population            # about ten minutes on two cores
+python -m benchmarks.population --memory   # 100,000 evaluations, shortened to 0.1 s each
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import resource
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness import report, rounds, spread, timed
+from benchmarks.recording import recorded
+from caterpillar_env.gait import GAIT_PERIOD_S
+from caterpillar_env.model import SMA_STEP_S, Physics
+from caterpillar_env.task import EPISODE_S, Crawl
+from evolution.fitness import simulate
+from evolution.genome import decode, genes
+from evolution.validation.robots import random_robots
+
+
+def evaluation(bodies: int, seconds: float, repeats: int) -> None:
+    """`fitness.simulate` and the bare steps, on one thread and on all."""
+    physics = Physics()
+    robots, timings = random_robots(bodies, 0, physics)
+    crawl = Crawl(bodies, physics)
+    crawl.reset(robots)
+    power = timings.mirrored().power(SMA_STEP_S)
+    with recorded(crawl.simulation) as recording:
+        for _ in range(round(seconds / timings.period_s)):
+            crawl.run(power)
+    bare = recording.joined()
+    steps = recording.steps
+
+    def ours(threads: int) -> Callable[[], float]:
+        return lambda: timed(
+            lambda: simulate(robots, timings, physics, threads=threads, duration_s=seconds)
+        )
+
+    def limit(threads: int) -> Callable[[], float]:
+        def cost() -> float:
+            batch = bare.batch(threads)
+            return timed(lambda: bare.repeat(batch))
+
+        return cost
+
+    costs = rounds(
+        {"ours 1": ours(1), "bare 1": limit(1), "ours 2": ours(2), "bare 2": limit(2)}, repeats
+    )
+    rows = [
+        {
+            "threads": n,
+            "ours over bare": spread(costs[f"ours {n}"] / costs[f"bare {n}"]),
+            "us per body-step": spread(1e6 * costs[f"ours {n}"] / steps),
+            "1 thread over this": spread(costs["ours 1"] / costs[f"ours {n}"]),
+            "the same, bare": spread(costs["bare 1"] / costs[f"bare {n}"]),
+        }
+        for n in (1, 2)
+    ]
+    failed = int((crawl.failure != 0).sum())
+    report(
+        f"population: {bodies} random genomes, {seconds:g} s, {failed} of them end early",
+        rows, bodies=bodies, seconds=seconds, physics_steps=steps,
+    )  # fmt: skip
+
+
+def sizes(counts: list[int], repeats: int) -> None:
+    """Cost per body over the size of the population, on all cores; every body is another one."""
+    physics = Physics()
+    seconds = 2.0
+
+    def population(count: int) -> Callable[[], float]:
+        bodies, timings = random_robots(count, 0, physics)
+        return lambda: timed(lambda: simulate(bodies, timings, physics, duration_s=seconds)) / count
+
+    costs = rounds({str(count): population(count) for count in counts}, repeats)
+    report(
+        f"cost per body over the size of the population, {seconds:g} s",
+        [
+            {"bodies": n, "ms per body": spread(1e3 * costs[str(n)]),
+             "over the first": spread(costs[str(n)] / costs[str(counts[0])])}
+            for n in counts
+        ],
+    )  # fmt: skip
+
+
+def memory(evaluations: int) -> None:
+    """Resident memory while many short evaluations are made, 200 at a time."""
+    physics = Physics()
+    rng = np.random.default_rng(0)
+    size = len(genes(physics.num_segments, GAIT_PERIOD_S))
+    rows = []
+    for done in range(0, evaluations + 1, 200):
+        if done % (evaluations // 10) == 0:
+            gc.collect()
+            rows.append({"evaluations": done, "resident MB": _resident_mb()})
+        if done < evaluations:
+            genomes = rng.random((200, size))
+            bodies, timings = decode(genomes, physics.num_segments, GAIT_PERIOD_S)
+            simulate(bodies, timings, physics, duration_s=0.1)
+    growth = rows[-1]["resident MB"] - rows[1]["resident MB"]
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    report("memory over evaluations", rows, growth_mb=growth, peak_mb=peak)
+
+
+def _resident_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text("utf-8").split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
+def main() -> None:
+    """All of it, or what the flags ask for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--bodies", type=int, default=200)
+    parser.add_argument("--seconds", type=float, default=EPISODE_S)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument(
+        "--sizes",
+        default="16,64,256,1024,4096",
+        help="of populations; none if empty",
+    )
+    parser.add_argument("--memory", action="store_true", help="only the memory test")
+    parser.add_argument("--evaluations", type=int, default=100_000, help="of the memory test")
+    args = parser.parse_args()
+    if args.memory:
+        memory(args.evaluations)
+        return
+    if args.sizes:
+        sizes([int(count) for count in args.sizes.split(",")], args.repeats)
+    if args.bodies:
+        evaluation(args.bodies, args.seconds, args.repeats)
+
+
+if __name__ == "__main__":
+    main()

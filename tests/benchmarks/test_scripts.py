@@ -1,0 +1,36 @@
+"""Every benchmark runs and tells its result as a line of JSON; how fast is no matter here."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arguments", "tables"),
+    [
+        (["population", "--bodies", "3", "--seconds", "5", "--repeats", "1", "--sizes", "16,32"], 2),
+        (["population", "--memory", "--evaluations", "2000"], 1),
+        (["environments", "--repeats", "1", "--single"], 1),
+        (["environments", "--repeats", "1", "--envs", "1,2"], 2),
+        (["physics_step", "--repeats", "1"], 1),
+        (["startup", "--repeats", "1"], 1),
+    ],
+    ids=lambda value: " ".join(value[:2]) if isinstance(value, list) else "",
+)
+def test_script(arguments, tables):
+    module, *rest = arguments
+    done = subprocess.run(
+        [sys.executable, "-m", f"benchmarks.{module}", *rest],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    told = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(told) == tables
+    for table in told:
+        assert table["rows"]
+        assert table["machine"]["mujoco"]
