@@ -19,8 +19,11 @@ from caterpillar_env.errors import CaterpillarError
 T = TypeVar("T")
 
 _SUMMARIES = {
-    "evolve": "evolve body and gait with the paper's genetic algorithm",
+    "evolve": "evolve body and gait: the paper's genetic algorithm, CMA-ES or random search",
+    "export": "write the evaluations of a run as CSV, Parquet or JSON",
     "preprocess": "print and draw what the physics-based preprocessor says of each gene",
+    "resume": "go on with a run that was stopped, or for more generations",
+    "runs": "list the runs in a folder",
     "replay": "simulate a recorded robot once more and make a video",
     "validate": "check the physics against closed forms, data sheets and finer timesteps",
 }

@@ -1,4 +1,4 @@
-"""The subcommands `evolve`, `preprocess` and `replay`: what they print and which files they leave."""
+"""The subcommands `evolve`, `resume`, `preprocess` and `replay`: their output and files."""
 
 from __future__ import annotations
 
@@ -19,15 +19,41 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
 from evolution import cli
 from evolution.distributions import TruncatedGaussian
+from evolution.evaluators import Evaluator, LocalEvaluator, RayEvaluator
 from evolution.individual import Individual, label
+from evolution.journal import Journal
 from evolution.optimizers.ga import GaConfig
 from evolution.preprocessor import GenePrior, design_parameters, paper_priors
-from evolution.run import Generation, RunConfig, RunResult, evolve
+from evolution.run import Generation, RunConfig, RunResult, evolve, read_configuration, resume
 
 PRESETS = {
     "paper": RunConfig(),
     "quick": RunConfig(generations=6, ga=GaConfig(population=20, hall_of_fame=2)),
 }
+
+
+@dataclass(frozen=True)
+class WorkerArgs:
+    """Where a run is computed, which makes no difference to its results."""
+
+    evaluator: Literal["local", "ray"] = "local"
+    """local: threads of this machine; ray: a Ray cluster."""
+    ray_address: str | None = None
+    """Address of a running cluster; by default one is started here and ended with the run."""
+    threads: int = 0
+    """Threads of the local evaluator; 0 for all cores."""
+    video: bool = True
+    """Write best.mp4."""
+
+    def __post_init__(self) -> None:
+        if self.threads < 0:
+            raise CaterpillarError(f"threads = {self.threads} must not be negative; 0 is all cores")
+
+    def make(self) -> Evaluator:
+        """The evaluator."""
+        return (
+            LocalEvaluator(self.threads) if self.evaluator == "local" else RayEvaluator(self.ray_address)
+        )
 
 
 @dataclass(frozen=True)
@@ -38,27 +64,54 @@ class EvolveArgs:
     """quick: 20 genomes for 6 generations, about a minute on two cores. Other flags change a preset."""
     out: Path | None = None
     """Run folder to make; by default a new one under runs/."""
-    threads: int = 0
-    """Threads to simulate on; 0 for all cores. The results do not depend on it."""
-    video: bool = True
-    """Write best.mp4."""
+    workers: WorkerArgs = field(default_factory=WorkerArgs)
     config: RunConfig = field(default_factory=RunConfig)
+
+
+@dataclass(frozen=True)
+class ResumeArgs:
+    """Go on with a run where it ended; what is in its journal is not computed again."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """The run folder."""
+    generations: int | None = None
+    """Raise the number of generations."""
+    repair: bool = False
+    """Keep what is whole of a damaged journal, first."""
+    workers: WorkerArgs = field(default_factory=WorkerArgs)
 
 
 def evolve_command(argv: Sequence[str]) -> int:
     """`caterpillar evolve`."""
     args = cli.parse(EvolveArgs, argv, "evolve", EvolveArgs(config=PRESETS[_preset(argv)]))
-    if args.threads < 0:
-        raise CaterpillarError(f"threads = {args.threads} must not be negative; 0 is all cores")
-    folder = args.out or _unused(Path("runs"), f"{args.config.prior}-seed{args.config.seed}")
+    config = args.config
+    folder = args.out or _unused(Path("runs"), f"{config.optimizer}-{config.prior}-seed{config.seed}")
     console = _console()
-    with _Reporter(args.config, console) as reporter:
+    with _Reporter(config, console) as reporter:
         result = evolve(
-            args.config, folder, threads=args.threads,
+            config, folder, evaluator=args.workers.make(),
             on_generation=reporter.generation, on_progress=reporter.progress,
         )  # fmt: skip
-    _finish(result, folder, console, video=args.video)
-    return 0 if result.finished else 130
+    return _finish(result, folder, console, video=args.workers.video)
+
+
+def resume_command(argv: Sequence[str]) -> int:
+    """`caterpillar resume`."""
+    args = cli.parse(ResumeArgs, argv, "resume")
+    console = _console()
+    if args.repair:
+        kept = Journal.repair(args.folder)
+        console.print(f"kept {kept} evaluations; the old file is journal.sqlite.damaged")
+    with Journal(args.folder) as journal:
+        config, _ = read_configuration(journal)
+    config = replace(config, generations=args.generations or config.generations)
+    with _Reporter(config, console) as reporter:
+        result = resume(
+            args.folder, generations=args.generations, evaluator=args.workers.make(),
+            on_generation=reporter.generation, on_progress=reporter.progress,
+            on_warning=lambda text: console.print(f"warning: {text}"),
+        )  # fmt: skip
+    return _finish(result, args.folder, console, video=args.workers.video)
 
 
 def _preset(argv: Sequence[str]) -> str:
@@ -82,19 +135,21 @@ def _unused(parent: Path, name: str) -> Path:
     return folder
 
 
-def _finish(result: RunResult, folder: Path, console: Console, *, video: bool) -> None:
+def _finish(result: RunResult, folder: Path, console: Console, *, video: bool) -> int:
+    """Leave pictures of the best robot; the exit status."""
+    status = 0 if result.finished else 130
     if not result.finished:
-        console.print(f"stopped; what is finished is in {folder}")
+        console.print(f"stopped; go on with: caterpillar resume {folder}")
     if not result.generations:
-        return
+        return status
     from evolution import plots
 
     title = f"{folder.name}: {result.generations[-1].evaluations} evaluations"
     plots.convergence(result.generations, folder / "convergence.png", title)
     best = result.best
     if best is None:
-        console.print(f"no robot crawled forwards without failing; see {folder}/evaluations.csv")
-        return
+        console.print(f"no robot crawled forwards without failing; see caterpillar export {folder}")
+        return status
     plots.gait(best, folder / "gait.png")
     print(
         f"best: {1000 * (best.fitness_m or 0):.1f} mm in 30 s "
@@ -102,6 +157,7 @@ def _finish(result: RunResult, folder: Path, console: Console, *, video: bool) -
     )
     if video:
         _film(best, folder / "best.mp4", console)
+    return status
 
 
 def _film(individual: Individual, path: Path, console: Console, timestep_s: float | None = None) -> None:
@@ -122,7 +178,7 @@ class _Reporter:
         self._config, self._console = config, console
         self._bar: Progress | None = None
         self._task: TaskID | None = None
-        self._evaluated = 0
+        self._evaluated, self._generations, self._replayed = 0, 0, 0
 
     def __enter__(self) -> _Reporter:
         if self._console.is_terminal:
@@ -141,7 +197,7 @@ class _Reporter:
 
     def generation(self, told: Generation) -> None:
         """Print what a generation brought."""
-        self._evaluated = told.evaluations
+        self._evaluated, self._generations = told.evaluations, told.number + 1
         failures = ", ".join(f"{n} {reason}" for reason, n in told.failures.items() if n) or "none"
         line = (
             f"generation {told.number:3d}  best {1000 * told.best_m:6.1f} mm  "
@@ -149,7 +205,10 @@ class _Reporter:
             f"simulated {told.simulated_s:,.0f} s"
         )
         if self._bar is None or self._task is None:
-            left = told.elapsed_s / told.evaluations * (self._config.evaluations() - told.evaluations)
+            if told.replayed:
+                self._replayed = told.evaluations  # they took no time, and say nothing of what is left
+            pace_s = told.elapsed_s / max(told.evaluations - self._replayed, 1)
+            left = pace_s * max(self._config.evaluations() - told.evaluations, 0)
             self._console.print(f"{line}  left {left / 60:.1f} min", soft_wrap=True)
         else:
             self._console.print(line)
@@ -160,8 +219,9 @@ class _Reporter:
     def progress(self, share: float) -> None:
         """Move the bar within a generation."""
         if self._bar is not None and self._task is not None:
-            ga = self._config.ga
-            size = ga.population - (ga.hall_of_fame if self._evaluated else 0)
+            size = (self._config.evaluations() - self._evaluated) / (
+                self._config.generations - self._generations
+            )
             self._bar.update(self._task, completed=self._evaluated + share * size)
 
 

@@ -16,6 +16,10 @@ Array = NDArray[np.float64]
 class Uniform:
     """Every value equally likely."""
 
+    def quantile(self, share: Array) -> Array:
+        """Where the distribution function reaches `share`, in [0, 1]."""
+        return share
+
     def sample(self, rng: np.random.Generator, size: int) -> Array:
         """`size` draws in [0, 1]."""
         return rng.random(size)
@@ -46,11 +50,15 @@ class TruncatedGaussian:
         """
         return cls(mu, max(mu, 1.0 - mu) / math.sqrt(2.0 * math.log(ratio)))
 
+    def quantile(self, share: Array) -> Array:
+        """Where the distribution function reaches `share`, in [0, 1]."""
+        low, high = ndtr(-self.mu / self.sigma), ndtr((1.0 - self.mu) / self.sigma)
+        x: Array = self.mu + self.sigma * ndtri(low + (high - low) * share)
+        return np.clip(x, 0.0, 1.0)
+
     def sample(self, rng: np.random.Generator, size: int) -> Array:
         """`size` draws in [0, 1], by inversion of the distribution function: one uniform a draw."""
-        low, high = ndtr(-self.mu / self.sigma), ndtr((1.0 - self.mu) / self.sigma)
-        drawn: Array = self.mu + self.sigma * ndtri(low + (high - low) * rng.random(size))
-        return np.clip(drawn, 0.0, 1.0)
+        return self.quantile(rng.random(size))
 
     def density(self, x: Array) -> Array:
         """Probability density at x."""
@@ -60,4 +68,32 @@ class TruncatedGaussian:
         return np.where(inside, bell / (mass * self.sigma * math.sqrt(2 * math.pi)), 0.0)
 
 
-Distribution = Uniform | TruncatedGaussian
+@dataclass(frozen=True)
+class ClampedGaussian:
+    """The other reading of the paper's "clipped": values beyond 0 and 1 are put on the bound.
+
+    Args:
+        mu: peak, in [0, 1].
+        sigma: width of the Gaussian.
+    """
+
+    mu: float
+    sigma: float
+
+    def quantile(self, share: Array) -> Array:
+        """Where the distribution function reaches `share`, in [0, 1]."""
+        x: Array = self.mu + self.sigma * ndtri(share)
+        return np.clip(x, 0.0, 1.0)
+
+    def sample(self, rng: np.random.Generator, size: int) -> Array:
+        """`size` draws in [0, 1]; some are 0 or 1 exactly."""
+        return self.quantile(rng.random(size))
+
+    def density(self, x: Array) -> Array:
+        """Probability density between the bounds, which carry the rest of the probability."""
+        bell = np.exp(-0.5 * ((x - self.mu) / self.sigma) ** 2)
+        inside = (x > 0) & (x < 1)
+        return np.where(inside, bell / (self.sigma * math.sqrt(2 * math.pi)), 0.0)
+
+
+Distribution = Uniform | TruncatedGaussian | ClampedGaussian

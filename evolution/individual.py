@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings, pair_names
 from caterpillar_env.model import Physics
-from caterpillar_env.morphology import NAMES, Morphology
+from caterpillar_env.morphology import Morphology
 from caterpillar_env.task import Failure
 from evolution.fitness import Outcomes, simulate
 from evolution.genome import decode
@@ -45,19 +44,6 @@ class Individual:
         morphologies, timings = decode(genome[None], physics.num_segments, period_s)
         gait = GaitTimings(period_s, timings.on_s[0], timings.off_s[0])
         return cls(morphologies[0], gait, physics, **record)
-
-    @classmethod
-    def of_row(cls, row: Mapping[str, str], physics: Physics, period_s: float) -> Individual:
-        """The individual of a row of `evaluations.csv`, the columns by name."""
-        pairs = pair_names(physics.num_segments)
-        on, off = (np.array([float(row[f"{p}_{edge}_s"]) for p in pairs]) for edge in ("on", "off"))
-        return cls(
-            Morphology.of({name: float(row[name]) for name in NAMES}),
-            GaitTimings(period_s, on, off),
-            physics,
-            fitness_m=float(row["fitness_m"]),
-            generation=int(row["generation"]),
-        )
 
     def simulate(self, timestep_s: float | None = None, **kwargs: Any) -> Outcomes:
         """Let it crawl once more, at its own timestep or another; keywords as for `fitness.simulate`."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +19,14 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import whole
 from caterpillar_env.model import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.morphology import Morphology
-from evolution.distributions import Distribution, TruncatedGaussian, Uniform
+from evolution.distributions import ClampedGaussian, Distribution, TruncatedGaussian, Uniform
 from evolution.genome import Gene, genes
 
 Array = NDArray[np.float64]
 
 GRAVITY_M_S2 = 9.81
 GRID_NODES = 10  #: "approximately ten nodes per gene", Saunders 2009, section II
+Clipping = Literal["truncated", "clamped"]
 PITCH_ANGLES = 10  #: likewise, over the range that the joints allow
 
 
@@ -120,6 +121,13 @@ def design_parameters(physics: Physics) -> tuple[DesignParameter, ...]:
     )  # fmt: skip
 
 
+_KINDS = {
+    Uniform: "uniform",
+    TruncatedGaussian: "truncated_gaussian",
+    ClampedGaussian: "clamped_gaussian",
+}
+
+
 @dataclass(frozen=True)
 class GenePrior:
     """What the preprocessor says of one gene: a row of the paper's Table I."""
@@ -133,14 +141,13 @@ class GenePrior:
         """Plain JSON; mu and sigma in the gene's unit, None for a uniform gene."""
         gene, d = self.gene, self.distribution
         span = gene.upper - gene.lower
-        gaussian = isinstance(d, TruncatedGaussian)
         return {
             "gene": gene.name,
             "symbol": gene.symbol,
             "unit": gene.unit,
-            "kind": "truncated_gaussian" if gaussian else "uniform",
-            "mu": gene.lower + d.mu * span if isinstance(d, TruncatedGaussian) else None,
-            "sigma": d.sigma * span if isinstance(d, TruncatedGaussian) else None,
+            "kind": _KINDS[type(d)],
+            "mu": None if isinstance(d, Uniform) else gene.lower + d.mu * span,
+            "sigma": None if isinstance(d, Uniform) else d.sigma * span,
             "lower": gene.lower,
             "upper": gene.upper,
             "reason": self.reason,
@@ -207,8 +214,32 @@ def _prior(gene: Gene, peaks: Mapping[str, Mapping[str, float]], floor_ratio: fl
     return GenePrior(gene, distribution, signs, f"best node of {' and '.join(said)}")
 
 
-def paper_priors(physics: Physics, period_s: float, floor_ratio: float = 3.0) -> list[GenePrior]:
-    """The preprocessor's answer for this robot: Table I."""
+def paper_priors(
+    physics: Physics,
+    period_s: float,
+    floor_ratio: float = 3.0,
+    clipping: Clipping = "truncated",
+    *,
+    mirrored: bool = False,
+) -> list[GenePrior]:
+    """The preprocessor's answer for this robot: Table I.
+
+    Args:
+        physics: of the robot; some of it is in the K_i.
+        period_s: gait period, the upper bound of the times.
+        floor_ratio: greatest over least density of a Gaussian, before it is clamped.
+        clipping: what "clipped Gaussian" is to mean.
+        mirrored: whether every peak is put at the opposite end: a prior that misleads on purpose.
+    """
     whole(period_s, CONTROL_INTERVAL_S, "gait_period_s")
     table = genes(physics.num_segments, period_s)
-    return preprocess(design_parameters(physics), table, floor_ratio)
+    priors = preprocess(design_parameters(physics), table, floor_ratio)
+    return [replace(p, distribution=_varied(p.distribution, clipping, mirrored)) for p in priors]
+
+
+def _varied(distribution: Distribution, clipping: Clipping, mirrored: bool) -> Distribution:
+    if isinstance(distribution, Uniform):
+        return distribution
+    mu = 1.0 - distribution.mu if mirrored else distribution.mu
+    kind = TruncatedGaussian if clipping == "truncated" else ClampedGaussian
+    return kind(mu, distribution.sigma)

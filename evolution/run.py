@@ -1,37 +1,44 @@
-"""A run: ask, evaluate, tell, record, until the generations are through or somebody stops it."""
+"""A run: ask, evaluate, record, tell, until the generations are through or somebody stops it.
+
+Resuming is replaying: the optimizer is made anew and asks the same questions, which the journal answers
+as far as it goes.
+"""
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
-from caterpillar_env.model import CONTROL_INTERVAL_S, Physics
-from caterpillar_env.morphology import Morphology
-from caterpillar_env.task import EPISODE_S, Failure
+from caterpillar_env.gait import GAIT_PERIOD_S
+from caterpillar_env.model import Physics
+from caterpillar_env.task import Failure
 from evolution.distributions import Distribution, Uniform
-from evolution.fitness import Outcomes, simulate
-from evolution.genome import decode, genes
+from evolution.evaluators import CHUNK, Evaluator, LocalEvaluator, Task
+from evolution.fitness import Outcomes
+from evolution.genome import check, genes
 from evolution.individual import Individual
+from evolution.journal import Evaluation, Journal, fingerprint
+from evolution.optimizers.base import Optimizer
+from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
-from evolution.preprocessor import paper_priors
+from evolution.optimizers.random_search import RandomSearch, Sampling
+from evolution.preprocessor import Clipping, paper_priors
 
 Array = NDArray[np.float64]
-Prior = Literal["preprocessed", "uniform"]
+OptimizerName = Literal["ga", "cma-es", "random"]
+Prior = Literal["preprocessed", "uniform", "init-only", "mutation-only", "mirrored"]
+Objective = Literal["distance", "distance-per-energy"]
 
 
 class RunError(CaterpillarError):
-    """A run cannot start or be read as asked."""
+    """A run cannot start, go on or be read as asked."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +50,17 @@ class RunConfig:
     """
 
     seed: int = 0  #: of the optimizer; the robot's own is mismatch_seed
-    generations: int = 50
-    prior: Prior = "preprocessed"  #: what genes are drawn from, at first and by mutation
+    generations: int = 50  #: how often the optimizer asks
+    optimizer: OptimizerName = "ga"
+    prior: Prior = "preprocessed"  #: what genes are drawn from; init- and mutation-only are the GA's
     floor_ratio: float = 3.0  #: greatest over least density of a preprocessed gene
-    failed_fitness: float = 0.0  #: "low fitness" of a robot that fails, in metres
+    clipping: Clipping = "truncated"  #: what becomes of a Gaussian beyond the bounds of its gene
+    objective: Objective = "distance"  #: what is maximised: m, or m per J of electrical energy
+    failed_fitness: float = 0.0  #: "low fitness" of a robot that fails
     gait_period_s: float = GAIT_PERIOD_S
+    sampling: Sampling = "independent"  #: of random search
     ga: GaConfig = field(default_factory=GaConfig)
+    cma: CmaConfig = field(default_factory=CmaConfig)
     physics: Physics = field(default_factory=Physics)
 
     def __post_init__(self) -> None:
@@ -56,37 +68,93 @@ class RunConfig:
             raise RunError(f"seed = {self.seed} must not be negative")
         if self.generations < 1:
             raise RunError(f"generations = {self.generations} must be at least 1")
-        if self.prior not in ("preprocessed", "uniform"):
-            raise RunError(f'prior = {self.prior!r} must be "preprocessed" or "uniform"')
+        for name, kind in _CHOICES.items():
+            if getattr(self, name) not in get_args(kind):
+                known = ", ".join(get_args(kind))
+                raise RunError(f"{name} = {getattr(self, name)!r} must be one of {known}")
+        if self.optimizer != "ga" and self.prior in ("init-only", "mutation-only"):
+            raise RunError(
+                f"prior = {self.prior!r} tells the genetic algorithm's first draw from its mutation; "
+                f"{self.optimizer} has but one: choose preprocessed, uniform or mirrored"
+            )
         if not 0 <= self.failed_fitness < np.inf:
             raise RunError(f"failed_fitness = {self.failed_fitness} must be finite and not negative")
-        paper_priors(self.physics, self.gait_period_s, self.floor_ratio)
+        self.distributions()
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> RunConfig:
+        """The configuration in plain JSON, as `to_dict` gives it.
+
+        Raises:
+            RunError: a field is unknown or unusable.
+        """
+        kinds: dict[str, Callable[..., Any]] = {
+            "ga": lambda value: GaConfig(**value),
+            "cma": lambda value: CmaConfig(**value),
+            "physics": Physics.of,
+        }
+        unknown = set(data) - {f.name for f in fields(cls)}
+        if unknown:
+            raise RunError(f"no such fields of a run's configuration: {', '.join(sorted(unknown))}")
+        try:
+            return cls(**{k: kinds[k](v) if k in kinds else v for k, v in data.items()})
+        except TypeError as error:
+            raise RunError(f"the configuration cannot be read: {error}") from None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON."""
         return asdict(self)
 
-    def distributions(self) -> list[Distribution]:
-        """What each gene is drawn from."""
-        rows = paper_priors(self.physics, self.gait_period_s, self.floor_ratio)
-        return [row.distribution if self.prior == "preprocessed" else Uniform() for row in rows]
+    def distributions(self, use: Literal["init", "mutation"] = "init") -> list[Distribution]:
+        """What each gene is drawn from, at first or by mutation."""
+        rows = paper_priors(
+            self.physics, self.gait_period_s, self.floor_ratio, self.clipping,
+            mirrored=self.prior == "mirrored",
+        )  # fmt: skip
+        informed = self.prior in ("preprocessed", "mirrored", f"{use}-only")
+        return [row.distribution if informed else Uniform() for row in rows]
+
+    def make_optimizer(self) -> Optimizer:
+        """The optimizer at its beginning."""
+        rng = np.random.default_rng(self.seed)
+        first = self.distributions("init")
+        if self.optimizer == "ga":
+            return GeneticAlgorithm(first, self.distributions("mutation"), self.ga, rng)
+        if self.optimizer == "cma-es":
+            return CmaEs(first, self.cma, rng)
+        return RandomSearch(first, self.ga.population, self.sampling, rng)
 
     def evaluations(self) -> int:
-        """How many genomes the whole run evaluates."""
+        """How many genomes the whole run evaluates; without restarts, in the case of CMA-ES."""
         ga = self.ga
-        return ga.population + (self.generations - 1) * (ga.population - ga.hall_of_fame)
+        if self.optimizer == "ga":
+            return ga.population + (self.generations - 1) * (ga.population - ga.hall_of_fame)
+        if self.optimizer == "random":
+            return ga.population * self.generations
+        default = 4 + int(3 * np.log(len(genes(self.physics.num_segments, self.gait_period_s))))
+        return (self.cma.cma_population or default) * self.generations
+
+
+_CHOICES = {
+    "optimizer": OptimizerName,
+    "prior": Prior,
+    "clipping": Clipping,
+    "objective": Objective,
+    "sampling": Sampling,
+}
 
 
 class Generation(NamedTuple):
     """What is told of each generation."""
 
     number: int
-    best_m: float  #: fitness of the best genome so far
-    mean_m: float  #: mean fitness of the genomes evaluated in this generation
+    best_m: float  #: distance of the best robot so far
+    mean_m: float  #: mean distance of the genomes evaluated in this generation, 0 for a failure
     failures: dict[str, int]  #: how many of them failed, by reason
     evaluations: int  #: so far
     simulated_s: float  #: so far
-    elapsed_s: float  #: wall time so far
+    elapsed_s: float  #: wall time of this session so far
+    replayed: bool = False  #: whether all of it came out of the journal
 
 
 class RunResult(NamedTuple):
@@ -97,128 +165,243 @@ class RunResult(NamedTuple):
     finished: bool
 
 
+Told = Callable[[Generation], None]
+
+
 def evolve(
     config: RunConfig,
     folder: Path,
     *,
-    threads: int = 0,
-    on_generation: Callable[[Generation], None] | None = None,
+    evaluator: Evaluator | None = None,
+    optimizer: Optimizer | None = None,
+    on_generation: Told | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> RunResult:
-    """Run the genetic algorithm and keep its record in a new folder.
+    """Run an optimizer and keep its record in a new folder.
 
-    Writes `config.json`, `evaluations.csv` (as generations finish) and `best.json` (whenever there is a
-    better one). A KeyboardInterrupt ends the run after the last whole generation.
+    Writes `journal.sqlite` (as evaluations finish) and `best.json` (whenever there is a better robot). A
+    KeyboardInterrupt ends the run; `resume` goes on where it ended.
 
     Args:
         config: what to compute.
         folder: made here; must not hold anything yet.
-        threads: 0 means all cores; the record does not depend on it.
+        evaluator: where to compute it; all threads of this machine by default.
+        optimizer: one of your own instead of `config.optimizer`: it asks for genomes in [0, 1] and is
+            told their fitness, see `evolution.optimizers.base.Optimizer`.
         on_generation: told of each finished generation.
         on_progress: told the share of the current generation that is done.
 
     Raises:
-        RunError: the folder is not empty or cannot be written.
+        RunError: the folder is not empty or cannot be written, or a genome is no genome.
+        EvaluationError: an evaluation raised an exception.
     """
-    _prepare(folder, config)
-    optimizer = GeneticAlgorithm(config.distributions(), config.ga, np.random.default_rng(config.seed))
-    started = time.monotonic()
-    best: Individual | None = None
-    history: list[Generation] = []
-    evaluations, simulated_s = 0, 0.0
-    try:
-        for number in range(config.generations):
-            genomes = optimizer.ask()
-            outcomes, bodies, timings = _evaluate(config, genomes, threads, on_progress)
-            fitness = outcomes.fitness(config.failed_fitness)
-            optimizer.tell(genomes, fitness)
-            _append(folder / "evaluations.csv", number, bodies, timings, outcomes, fitness)
-            # The best robot is one that did not fail, whatever a failure is worth.
-            crawled = outcomes.fitness(0.0)
-            top = int(np.argmax(crawled))
-            if crawled[top] > (best.fitness_m or 0.0 if best else 0.0):
-                best = Individual.of_genome(
-                    genomes[top], config.physics, config.gait_period_s,
-                    fitness_m=float(fitness[top]), generation=number,
-                )  # fmt: skip
-                best.save(folder / "best.json")
-            evaluations += len(genomes)
-            simulated_s += float(outcomes.simulated_s.sum())
-            counts = np.bincount(outcomes.failure, minlength=len(Failure))
-            told = Generation(
-                number=number,
-                best_m=(best.fitness_m or 0.0) if best else 0.0,
-                mean_m=float(fitness.mean()),
-                failures={f.label: int(counts[f]) for f in Failure if f is not Failure.NONE},
-                evaluations=evaluations,
-                simulated_s=simulated_s,
-                elapsed_s=time.monotonic() - started,
+    _prepare(folder)
+    own = None if optimizer is None else type(optimizer).__qualname__
+    configuration = {**config.to_dict(), "own_optimizer": own}
+    with Journal.create(folder, configuration) as journal:
+        return _run(journal, config, optimizer, evaluator, on_generation, on_progress)
+
+
+def resume(
+    folder: Path,
+    *,
+    generations: int | None = None,
+    evaluator: Evaluator | None = None,
+    optimizer: Optimizer | None = None,
+    on_generation: Told | None = None,
+    on_progress: Callable[[float], None] | None = None,
+    on_warning: Callable[[str], None] | None = None,
+) -> RunResult:
+    """Go on with a run, or go through a finished one again.
+
+    Args:
+        folder: the run folder.
+        generations: a new number of generations, for a run that is to go on for longer.
+        evaluator: see `evolve`.
+        optimizer: the optimizer at its beginning, where the run was driven by one of your own.
+        on_generation: see `evolve`; generations out of the journal are told too.
+        on_progress: see `evolve`.
+        on_warning: told what may make the result another than that of the uninterrupted run.
+
+    Raises:
+        JournalError: no journal, in use by another process, damaged, or of a newer version.
+        RunError: the optimizer asks for other genomes than those of the journal.
+    """
+    with Journal(folder) as journal:
+        config, own = read_configuration(journal)
+        if own is not None and optimizer is None:
+            raise RunError(
+                f"{folder} was driven by an optimizer of your own ({own}); resume it from Python with "
+                "evolution.run.resume(folder, optimizer=...)"
             )
-            history.append(told)
-            if on_generation is not None:
-                on_generation(told)
-    except KeyboardInterrupt:
-        return RunResult(best, history, finished=False)
-    return RunResult(best, history, finished=True)
+        if generations is not None:
+            if generations < config.generations:
+                raise RunError(
+                    f"a run can only be made longer: generations is {config.generations} so far, and "
+                    f"{generations} is less"
+                )
+            config = replace(config, generations=generations)
+            journal.configure({**config.to_dict(), "own_optimizer": own})
+        if on_warning is not None:
+            _warn_of_versions(journal, on_warning)
+        return _run(journal, config, optimizer, evaluator, on_generation, on_progress)
 
 
-def _prepare(folder: Path, config: RunConfig) -> None:
+def read_configuration(journal: Journal) -> tuple[RunConfig, str | None]:
+    """The configuration, and the name of the optimizer where it was the user's own."""
+    data = journal.configuration
+    own = data.pop("own_optimizer")
+    return RunConfig.from_dict(data), own
+
+
+def _warn_of_versions(journal: Journal, warn: Callable[[str], None]) -> None:
+    now = fingerprint()
+    for number, then in enumerate(journal.sessions, start=1):
+        other = [f"{k} {then.get(k)} (now {v})" for k, v in now.items() if then.get(k) != v]
+        if other:
+            rows = [e.number for e in journal.evaluations() if e.session == number]
+            which = f"evaluations {rows[0]} to {rows[-1]}" if rows else "no evaluations"
+            warn(
+                f"session {number} ({which}) ran under {', '.join(other)}: from here on the run may "
+                "differ in the last bits, and then altogether, from one under one version"
+            )
+
+
+def _prepare(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
-            raise RunError(f"{folder} is not empty; choose another folder with --out")
-        text = json.dumps(config.to_dict(), indent=2) + "\n"
-        (folder / "config.json").write_text(text, encoding="utf-8")
-        names = [g.name for g in genes(config.physics.num_segments, config.gait_period_s)]
-        with (folder / "evaluations.csv").open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerow([*_COLUMNS, *names])
+            raise RunError(
+                f"{folder} is not empty; choose another folder with --out, or go on with a run by "
+                f"`caterpillar resume {folder}`"
+            )
     except OSError as error:
         raise RunError(
             f"cannot write the run folder {folder}: {error.strerror}; choose another with --out"
         ) from None
 
 
-_COLUMNS = (
-    "generation", "index", "failure", "fitness_m", "distance_m", "energy_j", "simulated_s",
-)  # fmt: skip
+def _run(
+    journal: Journal,
+    config: RunConfig,
+    optimizer: Optimizer | None,
+    evaluator: Evaluator | None,
+    on_generation: Told | None,
+    on_progress: Callable[[float], None] | None,
+) -> RunResult:
+    optimizer = optimizer or config.make_optimizer()
+    num_genes = len(genes(config.physics.num_segments, config.gait_period_s))
+    known = list(journal.evaluations())
+    session = journal.begin()
+    record = _Record(config, journal.path.parent)
+    try:
+        with evaluator or LocalEvaluator() as workers:
+            for number in range(config.generations):
+                genomes = check(optimizer.ask(), num_genes)
+                first = record.evaluations
+                parts = _replayed(known[first : first + len(genomes)], genomes, journal.path)
+                replayed = sum(len(part.failure) for part in parts)
+                for outcomes in _evaluated(config, genomes[replayed:], workers, on_progress):
+                    done = sum(len(part.failure) for part in parts)
+                    part_of = genomes[done : done + len(outcomes.failure)]
+                    journal.append(first + done, number, part_of, outcomes, session)
+                    parts.append(outcomes)
+                outcomes = Outcomes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+                score = scores(outcomes, config)
+                optimizer.tell(genomes, score)
+                told = record.add(number, genomes, outcomes, replayed=replayed == len(genomes))
+                if on_generation is not None:
+                    on_generation(told)
+    except KeyboardInterrupt:
+        return RunResult(record.best, record.history, finished=False)
+    return RunResult(record.best, record.history, finished=True)
 
 
-def _evaluate(
+def scores(outcomes: Outcomes, config: RunConfig) -> Array:
+    """The fitness that an optimizer is told, not negative, (P,)."""
+    value = outcomes.fitness(0.0)
+    if config.objective == "distance-per-energy":
+        drawn_j = outcomes.energy_j
+        value = np.divide(value, drawn_j, out=np.zeros_like(value), where=drawn_j > 0)
+    return np.where(outcomes.failure == Failure.NONE, value, config.failed_fitness)
+
+
+def _replayed(known: Sequence[Evaluation], genomes: Array, path: Path) -> list[Outcomes]:
+    """The journal's answers to the first of these genomes."""
+    for evaluation, genome in zip(known, genomes, strict=False):
+        if not np.array_equal(evaluation.genome, genome):
+            raise RunError(
+                f"evaluation {evaluation.number} in {path} is of another genome than the optimizer asks "
+                "for now: the package or NumPy has changed since, or it belongs to another run. "
+                "Install the versions of its table `sessions`, or start anew"
+            )
+    if not known:
+        return []
+    return [
+        Outcomes(
+            np.array([e.failure for e in known], dtype=np.int8),
+            np.array([e.distance_m for e in known]),
+            np.array([e.energy_j for e in known]),
+            np.array([e.simulated_s for e in known]),
+        )
+    ]
+
+
+def _evaluated(
     config: RunConfig,
     genomes: Array,
-    threads: int,
+    workers: Evaluator,
     on_progress: Callable[[float], None] | None,
-) -> tuple[Outcomes, list[Morphology], GaitTimings]:
-    bodies, timings = decode(genomes, config.physics.num_segments, config.gait_period_s)
+) -> Any:
+    if not len(genomes):
+        return
+    chunks = [genomes[i : i + CHUNK] for i in range(0, len(genomes), CHUNK)]
     done = 0
 
-    def tick(_: object) -> None:
-        nonlocal done
-        done += 1
+    def progress(share: float) -> None:
         if on_progress is not None:
-            on_progress(done * CONTROL_INTERVAL_S / EPISODE_S)
+            on_progress((done + share * min(CHUNK, len(genomes) - done)) / len(genomes))
 
-    outcomes = simulate(bodies, timings, config.physics, threads=threads, on_interval=tick)
-    return outcomes, bodies, timings
+    for outcomes in workers.map(Task(config.physics, config.gait_period_s), chunks, progress):
+        yield outcomes
+        done += len(outcomes.failure)
 
 
-def _append(
-    path: Path,
-    generation: int,
-    bodies: list[Morphology],
-    timings: GaitTimings,
-    outcomes: Outcomes,
-    fitness: Array,
-) -> None:
-    """One row per evaluation, SI units; repr keeps every bit of a float."""
-    times = np.stack([timings.on_s, timings.off_s], axis=-1).reshape(len(bodies), -1)
-    rows = io.StringIO()
-    writer = csv.writer(rows, lineterminator="\n")
-    for i, body in enumerate(bodies):
-        writer.writerow(
-            [generation, i, Failure(outcomes.failure[i]).label]
-            + [repr(float(a[i])) for a in (fitness, *outcomes[1:])]
-            + [repr(float(v)) for v in (*body.to_array(), *times[i])]
+class _Record:
+    """What has come out so far; the best robot is kept in a file."""
+
+    def __init__(self, config: RunConfig, folder: Path) -> None:
+        self._config, self._folder = config, folder
+        self._started = time.monotonic()
+        self._top = 0.0
+        self.best: Individual | None = None
+        self.history: list[Generation] = []
+        self.evaluations, self.simulated_s = 0, 0.0
+
+    def add(self, number: int, genomes: Array, outcomes: Outcomes, *, replayed: bool) -> Generation:
+        config = self._config
+        # The best robot is one that did not fail, whatever a failure is worth.
+        crawled = scores(outcomes, replace(config, failed_fitness=0.0))
+        top = int(np.argmax(crawled))
+        if crawled[top] > self._top:
+            self._top = float(crawled[top])
+            self.best = Individual.of_genome(
+                genomes[top], config.physics, config.gait_period_s,
+                fitness_m=float(outcomes.distance_m[top]), generation=number,
+            )  # fmt: skip
+            self.best.save(self._folder / "best.json")
+        self.evaluations += len(genomes)
+        self.simulated_s += float(outcomes.simulated_s.sum())
+        counts = np.bincount(outcomes.failure, minlength=len(Failure))
+        told = Generation(
+            number=number,
+            best_m=(self.best.fitness_m or 0.0) if self.best else 0.0,
+            mean_m=float(outcomes.fitness(0.0).mean()),
+            failures={f.label: int(counts[f]) for f in Failure if f is not Failure.NONE},
+            evaluations=self.evaluations,
+            simulated_s=self.simulated_s,
+            elapsed_s=time.monotonic() - self._started,
+            replayed=replayed,
         )
-    with path.open("a", newline="", encoding="utf-8") as file:
-        file.write(rows.getvalue())
+        self.history.append(told)
+        return told

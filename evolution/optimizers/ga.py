@@ -9,15 +9,11 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from caterpillar_env.errors import CaterpillarError
 from evolution.distributions import Distribution
+from evolution.optimizers.base import OptimizerError, check_told
 
 Array = NDArray[np.float64]
 Crossover = Literal["uniform", "one-point", "two-point"]
-
-
-class OptimizerError(CaterpillarError):
-    """An optimizer was configured or called wrongly."""
 
 
 @dataclass(frozen=True)
@@ -82,18 +78,23 @@ class GeneticAlgorithm:
     """Ask for genomes, evaluate them, tell their fitness; a generation a time.
 
     Args:
-        distributions: of each gene, for the first population and for mutation.
+        initial: distributions of the genes of the first population.
+        mutation: distributions that mutated genes are drawn from.
         config: settings.
         rng: the only source of randomness.
     """
 
     def __init__(
-        self, distributions: Sequence[Distribution], config: GaConfig, rng: np.random.Generator
+        self,
+        initial: Sequence[Distribution],
+        mutation: Sequence[Distribution],
+        config: GaConfig,
+        rng: np.random.Generator,
     ) -> None:
-        self._distributions = list(distributions)
+        self._initial, self._mutation = list(initial), list(mutation)
         self._config = config
         self._rng = rng
-        self._elite_genomes = np.empty((0, len(distributions)))
+        self._elite_genomes = np.empty((0, len(self._initial)))
         self._elite_fitness = np.empty(0)
         self._asked: Array | None = None
         self._genomes: Array | None = None  # the last full population, best first
@@ -103,7 +104,7 @@ class GeneticAlgorithm:
         """Genomes to evaluate: the whole first population, later all but the hall of fame, (P, n)."""
         if self._asked is None:
             if self._genomes is None:
-                self._asked = self._draw(self._config.population)
+                self._asked = self._draw(self._initial, self._config.population)
             else:
                 self._asked = self._breed(self._config.population - self._config.hall_of_fame)
         return self._asked.copy()
@@ -112,14 +113,9 @@ class GeneticAlgorithm:
         """Take the fitness of the genomes last asked for.
 
         Raises:
-            OptimizerError: other genomes, or fitness of another shape.
+            OptimizerError: other genomes, or fitness of another shape, negative or not finite.
         """
-        if self._asked is None or not np.array_equal(genomes, self._asked):
-            raise OptimizerError("tell takes exactly the genomes that ask gave, in their order")
-        if fitness.shape != (len(genomes),):
-            raise OptimizerError(f"fitness must have shape ({len(genomes)},); got {fitness.shape}")
-        if not (np.isfinite(fitness).all() and (fitness >= 0).all()):
-            raise OptimizerError("fitness must be finite and not negative; a failure needs a value too")
+        check_told(self._asked, genomes, fitness)
         everyone = np.concatenate([self._elite_genomes, genomes])
         scores = np.concatenate([self._elite_fitness, fitness])
         order = np.argsort(-scores, kind="stable")  # of equals the older stays in front
@@ -128,8 +124,8 @@ class GeneticAlgorithm:
         self._elite_genomes, self._elite_fitness = self._genomes[:elites], self._fitness[:elites]
         self._asked = None
 
-    def _draw(self, count: int) -> Array:
-        return np.stack([d.sample(self._rng, count) for d in self._distributions], axis=1)
+    def _draw(self, distributions: Sequence[Distribution], count: int) -> Array:
+        return np.stack([d.sample(self._rng, count) for d in distributions], axis=1)
 
     def _breed(self, count: int) -> Array:
         assert self._genomes is not None
@@ -139,11 +135,11 @@ class GeneticAlgorithm:
         fathers = pool[roulette(fitness, count, self._rng)]
         children = np.where(self._from_father(count), fathers, mothers)
         mutated = self._rng.random(children.shape) < self._config.mutation_rate
-        return np.where(mutated, self._draw(count), children)
+        return np.where(mutated, self._draw(self._mutation, count), children)
 
     def _from_father(self, count: int) -> NDArray[np.bool_]:
         """Which genes come from the second parent, (count, n)."""
-        num_genes = len(self._distributions)
+        num_genes = len(self._initial)
         crossed = self._rng.random(count) < self._config.crossover_rate
         if self._config.crossover == "uniform":
             mask = self._rng.random((count, num_genes)) < 0.5

@@ -7,7 +7,6 @@ them anew (about ten minutes on two cores), which a change of the physics calls 
 
 from __future__ import annotations
 
-import csv
 import json
 import sys
 import tempfile
@@ -18,8 +17,10 @@ import numpy as np
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
 from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.task import Failure
 from evolution.genome import genes
 from evolution.individual import Individual
+from evolution.journal import Journal
 from evolution.optimizers.ga import GaConfig
 from evolution.run import Prior, RunConfig, evolve
 
@@ -73,10 +74,16 @@ def make(path: Path = FILE) -> None:
 
 
 def best_of(folder: Path, config: RunConfig, count: int) -> list[Individual]:
-    """The `count` best robots that a run's `evaluations.csv` holds."""
-    with (folder / "evaluations.csv").open(encoding="utf-8", newline="") as file:
-        rows = sorted(csv.DictReader(file), key=lambda row: -float(row["fitness_m"]))[:count]
-    return [Individual.of_row(row, config.physics, config.gait_period_s) for row in rows]
+    """The `count` best robots of a run."""
+    with Journal(folder) as journal:
+        healthy = [e for e in journal.evaluations() if e.failure is Failure.NONE]
+    return [
+        Individual.of_genome(
+            e.genome, config.physics, config.gait_period_s,
+            fitness_m=e.distance_m, generation=e.generation,
+        )
+        for e in sorted(healthy, key=lambda e: -e.distance_m)[:count]
+    ]  # fmt: skip
 
 
 if __name__ == "__main__":

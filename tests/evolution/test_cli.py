@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from evolution import cli
+from evolution.records import table
 
 MAIN = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); \
 from evolution.cli import main; sys.exit(main())"
@@ -122,7 +123,7 @@ def test_every_error_is_one_line_and_a_status(arguments, elsewhere, capsys):
 @pytest.mark.parametrize(
     ("arguments", "hint"),
     [
-        (["fly"], "choose from evolve, preprocess, replay"),
+        (["fly"], "choose from evolve, export, preprocess, replay, resume, runs, validate"),
         (["evolve", "--bogus"], "--bogus"),
         (["evolve", "--population", "many"], "--population"),
         (["evolve", "--population", "-5"], "population = -5 must be at least 2"),
@@ -183,11 +184,9 @@ def test_version_is_a_number(capsys):
 
 def test_evolve_leaves_record_and_figures(recorded):
     assert {p.name for p in recorded.iterdir()} == {
-        "config.json", "evaluations.csv", "best.json", "convergence.png", "gait.png",
+        "journal.sqlite", ".lock", "best.json", "convergence.png", "gait.png",
     }  # fmt: skip
-    lines = (recorded / "evaluations.csv").read_text().splitlines()
-    assert len(lines) == 1 + 4 + 3
-    assert len(lines[0].split(",")) == 7 + 20
+    assert table(recorded).shape == (4 + 3, 8 + 20)
 
 
 def test_replay_of_a_record_is_identical(recorded, capsys):
@@ -229,11 +228,11 @@ def test_interrupted_run_keeps_its_generations_and_says_so(tmp_path):
     assert process.returncode == 130
     assert "Traceback" not in err
     assert "stopped" in err
-    generation = [
-        line.split(",")[0] for line in (tmp_path / "run" / "evaluations.csv").read_text().splitlines()
-    ]
-    whole = (len(generation) - 2) // 3  # after the first, three robots each
-    assert generation == ["generation", *"0000", *(str(1 + i // 3) for i in range(3 * (whole - 1)))]
+    assert "go on with: caterpillar resume run" in err
+    generation = table(tmp_path / "run")["generation"].to_list()
+    later = len(generation) - 4  # after the first, three robots each
+    assert later % 3 == 0
+    assert generation == [0] * 4 + [1 + i // 3 for i in range(later)]
 
 
 def test_machine_without_drawing_loses_only_the_video(tmp_path):

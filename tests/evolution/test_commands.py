@@ -1,9 +1,9 @@
 """The subcommands from inside: presets, what is printed, and which files are left."""
 
 import contextlib
-import csv
 import io
 import json
+import sqlite3
 
 import numpy as np
 import pytest
@@ -13,9 +13,12 @@ from caterpillar_env.gait import GaitTimings
 from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
 from evolution import cli, commands
+from evolution.evaluators import LocalEvaluator
 from evolution.individual import Individual
+from evolution.journal import FILE, Journal
 from evolution.optimizers.ga import GaConfig
-from evolution.run import Generation, RunConfig, evolve
+from evolution.records import table
+from evolution.run import Generation, RunConfig, evolve, read_configuration
 
 CONFIG = RunConfig(
     seed=4, generations=1, physics=Physics(num_segments=2, timestep_s=0.01, friction=0.7),
@@ -48,9 +51,8 @@ def elsewhere(tmp_path, monkeypatch):
 
 
 def told(number, evaluations, **failures):
-    return Generation(
-        number, 0.0123, 0.004, {"tipped": 0, "veered": 0, **failures}, evaluations, 210.0, 60.0
-    )
+    failed = {"tipped": 0, "veered": 0, **failures}
+    return Generation(number, 0.0123, 0.004, failed, evaluations, 210.0, 60.0, replayed=False)
 
 
 # evolve
@@ -83,25 +85,23 @@ def test_preset_is_found_among_the_other_flags(arguments, expected):
 
 def test_flags_change_a_preset_and_leave_the_rest_of_it(run):
     folder, _, _ = run
-    config = json.loads((folder / "config.json").read_text())
-    assert config == json.loads(json.dumps(CONFIG.to_dict()))
+    with Journal(folder) as journal:
+        assert read_configuration(journal) == (CONFIG, None)
     assert commands.PRESETS["quick"].generations != CONFIG.generations
 
 
 def test_evolve_records_the_same_as_the_function(run, tmp_path):
     folder, _, _ = run
-    evolve(CONFIG, tmp_path, threads=1)
-    for name in ("evaluations.csv", "best.json", "config.json"):
-        assert (folder / name).read_bytes() == (tmp_path / name).read_bytes()
+    evolve(CONFIG, tmp_path, evaluator=LocalEvaluator(1))
+    assert table(folder).equals(table(tmp_path))
+    assert (folder / "best.json").read_bytes() == (tmp_path / "best.json").read_bytes()
 
 
 def test_evolve_tells_generations_on_the_error_stream_and_the_best_on_the_output(run):
     folder, out, err = run
     assert len(err.splitlines()) == 1
     assert err.startswith("generation   0  best ")
-    with (folder / "evaluations.csv").open(encoding="utf-8", newline="") as file:
-        simulated_s = sum(float(row["simulated_s"]) for row in csv.DictReader(file))
-    assert f"simulated {simulated_s:.0f} s" in err
+    assert f"simulated {table(folder)['simulated_s'].sum():.0f} s" in err
     best = Individual.load(folder)
     assert out == f"best: {1000 * best.fitness_m:.1f} mm in 30 s (generation 0), in {folder}\n"
 
@@ -114,11 +114,11 @@ def test_brackets_in_a_folders_name_are_no_markup(elsewhere, capsys):
 
 
 def test_runs_without_a_name_get_folders_of_their_own(elsewhere):
-    (elsewhere / "runs" / "uniform-seed4").mkdir(parents=True)
+    (elsewhere / "runs" / "ga-uniform-seed4").mkdir(parents=True)
     for _ in range(2):
         assert cli.main([*FLAGS, *BROKEN, "--prior", "uniform", "--seed", "4"]) == 0
     names = sorted(p.name for p in (elsewhere / "runs").iterdir())
-    assert names == ["uniform-seed4", "uniform-seed4-2", "uniform-seed4-3"]
+    assert names == ["ga-uniform-seed4", "ga-uniform-seed4-2", "ga-uniform-seed4-3"]
 
 
 def test_robots_that_all_fail_end_in_a_sentence(elsewhere, capsys):
@@ -154,6 +154,50 @@ def test_bar_on_a_terminal_only_moves_forwards():
             done.append(reporter._bar.tasks[0].completed)
     assert done == sorted(done)
     assert done[-1] == 10
+
+
+# resume
+
+
+def test_resume_goes_on_and_can_make_a_run_longer(run, elsewhere, capsys):
+    assert cli.main([*FLAGS, "--seed", "4", "--out", "short"]) == 0
+    assert cli.main(["resume", "short", "--generations", "2", "--no-video"]) == 0
+    assert cli.main([*FLAGS, "--seed", "4", "--generations", "2", "--out", "long"]) == 0
+    assert table(elsewhere / "short").drop("session").equals(table(elsewhere / "long").drop("session"))
+    assert (elsewhere / "short" / "best.json").read_bytes() == (
+        elsewhere / "long" / "best.json"
+    ).read_bytes()
+
+
+def test_resume_mends_a_damaged_journal_when_asked(elsewhere, capsys):
+    assert cli.main([*FLAGS, "--seed", "4", "--generations", "3", "--out", "run"]) == 0
+    before = table(elsewhere / "run")
+    with contextlib.closing(sqlite3.connect(elsewhere / "run" / FILE)) as db, db:
+        db.execute("UPDATE evaluations SET distance_m = 1.0 WHERE evaluation = 4")
+    capsys.readouterr()
+    assert cli.main(["resume", "run", "--no-video"]) == 1
+    assert "evaluation 4 is not as it was written" in capsys.readouterr().err
+    assert cli.main(["resume", "run", "--repair", "--no-video"]) == 0
+    assert "kept 4 evaluations" in capsys.readouterr().err
+    assert table(elsewhere / "run").drop("session").equals(before.drop("session"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere"], "it is no run folder"),
+        (["nowhere", "--repair"], "it is no run folder"),
+        ([], "folder"),
+        (["run", "--generations", "many"], "--generations"),
+        (["run", "--threads", "-1"], "threads = -1"),
+        (["run", "--evaluator", "cloud"], "--evaluator"),
+    ],
+)
+def test_wrong_input_of_resume_is_answered_in_one_line(elsewhere, capsys, arguments, message):
+    assert cli.main(["resume", *arguments]) in (1, 2)
+    said = capsys.readouterr().err
+    assert message.lower() in said.lower()
+    assert said.count("\n") == 1
 
 
 # preprocess

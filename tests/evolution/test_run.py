@@ -1,7 +1,7 @@
 """A run's record: what it holds, that it repeats, and that it survives being stopped."""
 
-import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,11 +11,16 @@ from caterpillar_env.gait import GaitTimings
 from caterpillar_env.model import Physics
 from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.task import Failure
-from evolution.distributions import TruncatedGaussian, Uniform
+from evolution.distributions import ClampedGaussian, TruncatedGaussian, Uniform
+from evolution.evaluators import EvaluationError, LocalEvaluator
 from evolution.fitness import simulate
 from evolution.individual import Individual
-from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
-from evolution.run import RunConfig, RunError, evolve
+from evolution.journal import Journal, fingerprint
+from evolution.optimizers.cma_es import CmaConfig, CmaEs
+from evolution.optimizers.ga import GaConfig
+from evolution.optimizers.random_search import RandomSearch
+from evolution.records import table
+from evolution.run import RunConfig, RunError, evolve, read_configuration, resume
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
 #: So stiff, and so coarsely stepped, that every robot's integration breaks down at once.
@@ -29,19 +34,21 @@ CONFIG = RunConfig(
 TINY = RunConfig(seed=4, generations=3, physics=SHORT, ga=GaConfig(population=2, hall_of_fame=1))
 
 
+ONE = LocalEvaluator(threads=1)
+
+
 def rows(folder):
-    with (folder / "evaluations.csv").open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    return table(folder).to_dicts()
 
 
 def column(folder, name):
-    return np.array([float(row[name]) for row in rows(folder)])
+    return table(folder)[name].to_numpy()
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "deeper" / "run"
-    return folder, evolve(CONFIG, folder, threads=1)
+    return folder, evolve(CONFIG, folder, evaluator=ONE)
 
 
 # The record
@@ -50,18 +57,17 @@ def run(tmp_path_factory):
 def test_a_run_evaluates_everybody_once_and_elites_never_again(run):
     folder, result = run
     assert CONFIG.evaluations() == 4 + 2 * 2
-    generation = [row["generation"] for row in rows(folder)]
-    assert generation == ["0"] * 4 + ["1"] * 2 + ["2"] * 2
-    assert [row["index"] for row in rows(folder)] == [*"0123", *"01", *"01"]
+    assert column(folder, "generation").tolist() == [0] * 4 + [1] * 2 + [2] * 2
+    assert column(folder, "evaluation").tolist() == [*range(8)]
     assert result.finished
     assert [g.evaluations for g in result.generations] == [4, 6, 8]
 
 
 def test_columns_are_the_outcome_and_all_genes_by_name(run):
     folder, _ = run
-    header = (folder / "evaluations.csv").read_text().splitlines()[0].split(",")
-    assert header == [
-        "generation", "index", "failure", "fitness_m", "distance_m", "energy_j", "simulated_s", *NAMES,
+    assert table(folder).columns == [
+        "evaluation", "generation", "failure", "fitness", "distance_m", "energy_j", "simulated_s",
+        "session", *NAMES,
         "gap1_dorsal_on_s", "gap1_dorsal_off_s", "gap1_ventral_on_s", "gap1_ventral_off_s",
     ]  # fmt: skip
 
@@ -69,25 +75,25 @@ def test_columns_are_the_outcome_and_all_genes_by_name(run):
 def test_a_row_of_the_record_crawls_exactly_as_far_again(run):
     folder, _ = run
     some = [rows(folder)[i] for i in (0, 7)]
-    bodies = [Morphology.of({name: float(row[name]) for name in NAMES}) for row in some]
+    bodies = [Morphology.of({name: row[name] for name in NAMES}) for row in some]
     on, off = (
-        np.array([[float(r[f"gap1_{h}_{edge}_s"]) for h in ("dorsal", "ventral")] for r in some])
+        np.array([[r[f"gap1_{h}_{edge}_s"] for h in ("dorsal", "ventral")] for r in some])
         for edge in ("on", "off")
     )
     again = simulate(bodies, GaitTimings(CONFIG.gait_period_s, on, off), SHORT, threads=1)
-    assert again.distance_m.tolist() == [float(row["distance_m"]) for row in some]
-    assert again.energy_j.tolist() == [float(row["energy_j"]) for row in some]
-    assert again.simulated_s.tolist() == [float(row["simulated_s"]) for row in some]
+    assert again.distance_m.tolist() == [row["distance_m"] for row in some]
+    assert again.energy_j.tolist() == [row["energy_j"] for row in some]
+    assert again.simulated_s.tolist() == [row["simulated_s"] for row in some]
 
 
 def test_best_robot_is_the_first_of_the_best_rows(run):
     folder, result = run
     best = Individual.load(folder)
-    row = max(rows(folder), key=lambda r: float(r["fitness_m"]))
-    assert best.fitness_m == float(row["fitness_m"]) > 0
-    assert best.generation == int(row["generation"])
-    assert best.morphology.to_dict() == {name: float(row[name]) for name in NAMES}
-    assert best.timings.on_s[1] == float(row["gap1_ventral_on_s"])
+    row = max(rows(folder), key=lambda r: r["fitness"])
+    assert best.fitness_m == row["fitness"] > 0
+    assert best.generation == row["generation"]
+    assert best.morphology.to_dict() == {name: row[name] for name in NAMES}
+    assert best.timings.on_s[1] == row["gap1_ventral_on_s"]
     assert best.physics == SHORT
     assert best.to_dict() == result.best.to_dict()
 
@@ -95,13 +101,13 @@ def test_best_robot_is_the_first_of_the_best_rows(run):
 def test_best_fitness_never_gets_worse(run):
     folder, result = run
     told = [g.best_m for g in result.generations]
-    fitness, generation = column(folder, "fitness_m"), column(folder, "generation")
+    fitness, generation = column(folder, "fitness"), column(folder, "generation")
     assert told == [fitness[generation <= g].max() for g in range(3)]
 
 
 def test_generations_are_told_as_they_are_recorded(run):
     folder, result = run
-    fitness, generation = column(folder, "fitness_m"), column(folder, "generation")
+    fitness, generation = column(folder, "fitness"), column(folder, "generation")
     labels = np.array([row["failure"] for row in rows(folder)])
     for told in result.generations:
         mine = generation == told.number
@@ -116,31 +122,28 @@ def test_generations_are_told_as_they_are_recorded(run):
 
 def test_configuration_is_kept_whole(run):
     folder, _ = run
-    data = json.loads((folder / "config.json").read_text())
-    physics, ga = data.pop("physics"), data.pop("ga")
-    assert RunConfig(**data, physics=Physics.of(physics), ga=GaConfig(**ga)) == CONFIG
+    with Journal(folder) as journal:
+        assert read_configuration(journal) == (CONFIG, None)
 
 
 def test_a_run_leaves_just_its_record(run):
     folder, _ = run
-    assert {p.name for p in folder.iterdir()} == {"config.json", "evaluations.csv", "best.json"}
+    assert {p.name for p in folder.iterdir()} == {"journal.sqlite", ".lock", "best.json"}
 
 
 # Repeating
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_equal_seeds_give_equal_bytes_at_any_number_of_threads(run, tmp_path, threads):
+def test_equal_seeds_give_equal_bits_at_any_number_of_threads(run, tmp_path, threads):
     folder, _ = run
-    evolve(CONFIG, tmp_path, threads=threads)
-    for name in ("evaluations.csv", "best.json", "config.json"):
-        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
+    evolve(CONFIG, tmp_path, evaluator=LocalEvaluator(threads))
+    assert table(tmp_path).equals(table(folder))
+    assert (tmp_path / "best.json").read_bytes() == (folder / "best.json").read_bytes()
 
 
 def first_population(**settings):
-    config = RunConfig(**settings)
-    rng = np.random.default_rng(config.seed)
-    return GeneticAlgorithm(config.distributions(), config.ga, rng).ask()
+    return RunConfig(**settings).make_optimizer().ask()
 
 
 def test_seed_changes_the_genomes_and_not_the_robot():
@@ -168,10 +171,10 @@ def test_interrupt_keeps_the_finished_generations(tmp_path):
         if told.number == 1:
             raise KeyboardInterrupt
 
-    result = evolve(TINY, tmp_path, threads=1, on_generation=stop)
+    result = evolve(TINY, tmp_path, evaluator=ONE, on_generation=stop)
     assert not result.finished
     assert [g.number for g in result.generations] == [0, 1]
-    assert [row["generation"] for row in rows(tmp_path)] == ["0", "0", "1"]
+    assert column(tmp_path, "generation").tolist() == [0, 0, 1]
     assert Individual.load(tmp_path).to_dict() == result.best.to_dict()
 
 
@@ -186,7 +189,7 @@ def test_interrupt_within_a_generation_leaves_no_part_of_it(tmp_path):
         if whole == 1 and share > 0.05:
             raise KeyboardInterrupt
 
-    result = evolve(TINY, tmp_path, threads=1, on_generation=count, on_progress=stop)
+    result = evolve(TINY, tmp_path, evaluator=ONE, on_generation=count, on_progress=stop)
     assert not result.finished
     assert len(result.generations) == 1
     assert len(rows(tmp_path)) == 2
@@ -196,7 +199,7 @@ def test_interrupt_before_the_first_generation_leaves_an_empty_record(tmp_path):
     def stop(share):
         raise KeyboardInterrupt
 
-    result = evolve(TINY, tmp_path, threads=1, on_progress=stop)
+    result = evolve(TINY, tmp_path, evaluator=ONE, on_progress=stop)
     assert result == (None, [], False)
     assert rows(tmp_path) == []
     assert not (tmp_path / "best.json").exists()
@@ -205,7 +208,7 @@ def test_interrupt_before_the_first_generation_leaves_an_empty_record(tmp_path):
 def test_progress_runs_from_nothing_to_all_in_each_generation(tmp_path):
     shares = []
     config = RunConfig(generations=1, physics=SHORT, ga=GaConfig(population=2, hall_of_fame=0))
-    evolve(config, tmp_path, threads=1, on_progress=shares.append)
+    evolve(config, tmp_path, evaluator=ONE, on_progress=shares.append)
     assert len(shares) == 300
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1.0)
@@ -219,12 +222,12 @@ def test_a_whole_population_of_failures_runs_to_the_end(tmp_path, monkeypatch, f
     monkeypatch.chdir(tmp_path)  # MuJoCo leaves its log where it runs
     ga = GaConfig(population=4, hall_of_fame=1)
     config = RunConfig(generations=3, failed_fitness=failed_fitness, physics=BROKEN, ga=ga)
-    result = evolve(config, tmp_path / "run", threads=1)
+    result = evolve(config, tmp_path / "run", evaluator=ONE)
     record = rows(tmp_path / "run")
     assert result.finished
     assert [row["failure"] for row in record] == ["diverged"] * 10
-    assert {float(row["fitness_m"]) for row in record} == {failed_fitness}
-    assert max(float(row["simulated_s"]) for row in record) < 30.0
+    assert {row["fitness"] for row in record} == {failed_fitness}
+    assert max(row["simulated_s"] for row in record) < 30.0
     assert [g.failures["diverged"] for g in result.generations] == [4, 3, 3]
 
 
@@ -233,7 +236,7 @@ def test_a_robot_that_failed_is_never_the_best(tmp_path, monkeypatch):
     config = RunConfig(
         generations=1, failed_fitness=0.001, physics=BROKEN, ga=GaConfig(population=2, hall_of_fame=0)
     )
-    assert evolve(config, tmp_path / "run", threads=1).best is None
+    assert evolve(config, tmp_path / "run", evaluator=ONE).best is None
     assert not (tmp_path / "run" / "best.json").exists()
 
 
@@ -273,10 +276,56 @@ def test_prior_decides_the_distributions():
     assert len(prepared) == 20
 
 
+def kinds(config, use="init"):
+    return {type(d) for d in config.distributions(use)}
+
+
+def test_prior_may_serve_the_first_draw_or_mutation_alone():
+    assert kinds(RunConfig(prior="init-only")) == {Uniform, TruncatedGaussian}
+    assert kinds(RunConfig(prior="init-only"), "mutation") == {Uniform}
+    assert kinds(RunConfig(prior="mutation-only")) == {Uniform}
+    assert kinds(RunConfig(prior="mutation-only"), "mutation") == {Uniform, TruncatedGaussian}
+
+
+def test_mirrored_prior_puts_every_peak_at_the_other_end():
+    pairs = zip(RunConfig().distributions(), RunConfig(prior="mirrored").distributions(), strict=True)
+    for one, other in pairs:
+        if one == Uniform():
+            assert other == Uniform()
+        else:
+            assert (other.mu, other.sigma) == (1 - one.mu, one.sigma)
+
+
+def test_clamped_prior_keeps_peaks_and_widths():
+    clamped = RunConfig(clipping="clamped").distributions()
+    for one, other in zip(RunConfig().distributions(), clamped, strict=True):
+        if one != Uniform():
+            assert other == ClampedGaussian(one.mu, one.sigma)
+
+
+def test_optimizer_is_the_one_that_was_named():
+    assert isinstance(RunConfig(optimizer="cma-es").make_optimizer(), CmaEs)
+    assert isinstance(RunConfig(optimizer="random").make_optimizer(), RandomSearch)
+
+
+def test_configuration_survives_json():
+    config = RunConfig(
+        optimizer="cma-es", prior="uniform", cma=CmaConfig(cma_population=9), physics=SHORT
+    )  # fmt: skip
+    assert RunConfig.from_dict(config.to_dict()) == config
+    with pytest.raises(RunError, match="no such fields of a run's configuration: luck"):
+        RunConfig.from_dict({**config.to_dict(), "luck": 1})
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
         ({"seed": -1}, "seed = -1"),
+        ({"optimizer": "hopes"}, "optimizer = 'hopes' must be one of ga, cma-es, random"),
+        ({"optimizer": "cma-es", "prior": "init-only"}, "choose preprocessed, uniform or mirrored"),
+        ({"objective": "speed"}, "objective = 'speed'"),
+        ({"clipping": "cut"}, "clipping = 'cut'"),
+        ({"sampling": "grid"}, "sampling = 'grid'"),
         ({"generations": 0}, "generations = 0"),
         ({"generations": -5}, "generations = -5"),
         ({"prior": "hopeful"}, "prior = 'hopeful'"),
@@ -297,3 +346,136 @@ def test_unusable_settings_are_refused_in_one_line(settings, message):
     with pytest.raises(CaterpillarError, match=message) as refused:
         RunConfig(**settings)
     assert "\n" not in str(refused.value)
+
+
+# Going on
+
+
+KINDS = [
+    {"optimizer": "ga"},
+    {"optimizer": "cma-es", "cma": CmaConfig(cma_population=4)},
+    {"optimizer": "random"},
+    {"optimizer": "random", "sampling": "sobol"},
+    {"optimizer": "ga", "objective": "distance-per-energy"},
+]
+
+
+@pytest.mark.parametrize("settings", KINDS, ids=lambda kind: "-".join(map(str, kind.values()))[:30])
+def test_interrupted_and_resumed_equals_uninterrupted(tmp_path, settings):
+    config = RunConfig(
+        seed=5, generations=4, physics=SHORT, ga=GaConfig(population=4, hall_of_fame=1), **settings
+    )  # fmt: skip
+
+    def stop(told):
+        if told.number == 1:
+            raise KeyboardInterrupt
+
+    whole = evolve(config, tmp_path / "whole", evaluator=ONE)
+    assert not evolve(config, tmp_path / "broken", evaluator=ONE, on_generation=stop).finished
+    again = resume(tmp_path / "broken", evaluator=ONE)
+    assert again.finished
+    assert [g.replayed for g in again.generations] == [True, True, False, False]
+    assert table(tmp_path / "broken").drop("session").equals(table(tmp_path / "whole").drop("session"))
+    assert again.best.to_dict() == whole.best.to_dict()
+
+
+def test_a_finished_run_is_gone_through_again_without_evaluating(run, tmp_path):
+    folder, result = run
+    before = table(folder)
+    again = resume(folder, evaluator=None)
+    assert all(g.replayed for g in again.generations)
+    assert table(folder).equals(before)
+    assert again.best.to_dict() == result.best.to_dict()
+
+
+def test_a_run_can_be_made_longer_and_not_shorter(tmp_path):
+    evolve(TINY, tmp_path / "short", evaluator=ONE)
+    longer = resume(tmp_path / "short", generations=5, evaluator=ONE)
+    evolve(replace(TINY, generations=5), tmp_path / "long", evaluator=ONE)
+    assert table(tmp_path / "short").drop("session").equals(table(tmp_path / "long").drop("session"))
+    assert len(longer.generations) == 5
+    with pytest.raises(RunError, match="a run can only be made longer: generations is 5"):
+        resume(tmp_path / "short", generations=3)
+
+
+def test_generation_of_which_a_part_is_known_is_completed(tmp_path, monkeypatch):
+    monkeypatch.setattr("evolution.run.CHUNK", 2)
+    whole = evolve(CONFIG, tmp_path / "whole", evaluator=ONE)
+    seen = []
+
+    class Dies(LocalEvaluator):
+        def map(self, task, chunks, on_progress=None):
+            for outcomes in super().map(task, chunks, on_progress):
+                yield outcomes
+                seen.append(len(outcomes.failure))
+                raise KeyboardInterrupt
+
+    assert not evolve(CONFIG, tmp_path / "part", evaluator=Dies(1)).finished
+    assert seen == [2]
+    assert len(table(tmp_path / "part")) == 2
+    again = resume(tmp_path / "part", evaluator=ONE)
+    assert again.best.to_dict() == whole.best.to_dict()
+    assert table(tmp_path / "part")["session"].to_list() == [1, 1, 2, 2, 2, 2, 2, 2]
+
+
+def test_genome_that_differs_in_replay_is_an_error_that_says_so(tmp_path):
+    evolve(TINY, tmp_path, evaluator=ONE)
+    with Journal(tmp_path) as journal:
+        journal.configure({**replace(TINY, seed=9).to_dict(), "own_optimizer": None})
+    with pytest.raises(RunError, match=r"evaluation 0 in .* is of another genome") as told:
+        resume(tmp_path)
+    assert "start anew" in str(told.value)
+
+
+def test_other_versions_are_told_on_resume(tmp_path, monkeypatch):
+    evolve(TINY, tmp_path, evaluator=ONE)
+    told = []
+    resume(tmp_path, evaluator=ONE, on_warning=told.append)
+    assert told == []
+    now = {**fingerprint(), "mujoco": "9.9.9"}
+    monkeypatch.setattr("evolution.run.fingerprint", lambda: now)
+    resume(tmp_path, evaluator=ONE, on_warning=told.append)
+    assert len(told) == 2
+    assert "session 1 (evaluations 0 to 3) ran under mujoco 4." in told[0]
+    assert "(now 9.9.9)" in told[0]
+
+
+class Halves:
+    """An optimizer from elsewhere: asks for the middle, then ever nearer to a corner."""
+
+    def __init__(self, num_genes):
+        self.at = np.full((2, num_genes), 0.5)
+
+    def ask(self):
+        return self.at
+
+    def tell(self, genomes, fitness):
+        assert fitness.shape == (2,)
+        self.at = self.at / 2
+
+
+def test_an_optimizer_from_elsewhere_drives_a_run_and_its_resumption(tmp_path):
+    config = RunConfig(generations=3, physics=SHORT)
+    evolve(config, tmp_path / "whole", evaluator=ONE, optimizer=Halves(12))
+    evolve(replace(config, generations=2), tmp_path / "part", evaluator=ONE, optimizer=Halves(12))
+    with pytest.raises(RunError, match=r"an optimizer of your own \(Halves\)"):
+        resume(tmp_path / "part")
+    resume(tmp_path / "part", generations=3, evaluator=ONE, optimizer=Halves(12))
+    assert table(tmp_path / "part").drop("session").equals(table(tmp_path / "whole").drop("session"))
+
+
+def test_an_exception_in_evaluation_stops_the_run_with_the_genome(tmp_path, monkeypatch):
+    import evolution.evaluators as evaluators
+
+    def breaks(bodies, timings, physics, **kwargs):
+        if any(body.segment_mass_kg > 0.0095 for body in bodies):
+            raise ZeroDivisionError("a bug")
+        return simulate(bodies, timings, physics, **kwargs)
+
+    monkeypatch.setattr(evaluators, "simulate", breaks)
+    config = RunConfig(generations=1, physics=SHORT, ga=GaConfig(population=20, hall_of_fame=0))
+    with pytest.raises(EvaluationError, match="failed with ZeroDivisionError: a bug") as told:
+        evolve(config, tmp_path, evaluator=ONE)
+    genome = json.loads(str(told.value).split("The genome was ")[1])
+    assert len(genome) == 12
+    assert len(table(tmp_path)) == 0

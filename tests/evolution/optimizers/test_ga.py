@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from evolution.distributions import TruncatedGaussian, Uniform
-from evolution.optimizers.ga import GaConfig, GeneticAlgorithm, OptimizerError, roulette
+from evolution.optimizers.base import OptimizerError
+from evolution.optimizers.ga import GaConfig, GeneticAlgorithm, roulette
 
 CROSSOVERS = ["uniform", "one-point", "two-point"]
 
@@ -32,9 +33,8 @@ class Phases:
 
 def ga(distributions=None, seed=0, **config):
     settings = {"population": 12, "hall_of_fame": 3, **config}
-    return GeneticAlgorithm(
-        distributions or [Uniform()] * 6, GaConfig(**settings), np.random.default_rng(seed)
-    )
+    genes = distributions or [Uniform()] * 6
+    return GeneticAlgorithm(genes, genes, GaConfig(**settings), np.random.default_rng(seed))
 
 
 def generations(algorithm, fitness_of, count):

@@ -1,0 +1,201 @@
+"""Where genomes are evaluated: on this machine's threads, or on the workers of a Ray cluster.
+
+A result depends on the genome and the task alone, bit for bit: not on the evaluator, the number of
+workers, or which genomes are evaluated side by side.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.gait import GAIT_PERIOD_S
+from caterpillar_env.model import CONTROL_INTERVAL_S, Physics
+from caterpillar_env.task import EPISODE_S
+from evolution.fitness import Outcomes, simulate
+from evolution.genome import decode
+
+Array = NDArray[np.float64]
+CHUNK = 50  #: genomes that are evaluated, and recorded, together
+
+
+class EvaluationError(CaterpillarError):
+    """An evaluation raised something; the run stops, and nothing is scored."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What genomes are evaluated on."""
+
+    physics: Physics
+    gait_period_s: float = GAIT_PERIOD_S
+
+    def evaluate(
+        self, genomes: Array, *, threads: int = 0, on_progress: Callable[[float], None] | None = None
+    ) -> Outcomes:
+        """Let the robots of P genomes crawl side by side.
+
+        Args:
+            genomes: in [0, 1], (P, n).
+            threads: 0 means all cores.
+            on_progress: told the share that is done.
+        """
+        bodies, timings = decode(genomes, self.physics.num_segments, self.gait_period_s)
+        intervals = 0
+
+        def tick(_: object) -> None:
+            nonlocal intervals
+            intervals += 1
+            if on_progress is not None:
+                on_progress(intervals * CONTROL_INTERVAL_S / EPISODE_S)
+
+        return simulate(bodies, timings, self.physics, threads=threads, on_interval=tick)
+
+
+class Evaluator(Protocol):
+    """Evaluates chunks of genomes; a context that frees what it holds."""
+
+    def __enter__(self) -> Evaluator: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def map(
+        self, task: Task, chunks: Sequence[Array], on_progress: Callable[[float], None] | None = None
+    ) -> Iterator[Outcomes]:
+        """The outcomes of each chunk, in the order of the chunks, as they are done.
+
+        `on_progress` is told the share of a chunk that is done beyond those already given.
+        """
+        ...
+
+
+class LocalEvaluator:
+    """Threads of this process.
+
+    Args:
+        threads: 0 means all cores; results do not depend on it.
+    """
+
+    def __init__(self, threads: int = 0) -> None:
+        self._threads = threads
+
+    def __enter__(self) -> LocalEvaluator:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def map(
+        self, task: Task, chunks: Sequence[Array], on_progress: Callable[[float], None] | None = None
+    ) -> Iterator[Outcomes]:
+        """See `Evaluator.map`."""
+        for chunk in chunks:
+            yield explained(task, chunk, threads=self._threads, on_progress=on_progress)
+
+
+def explained(task: Task, genomes: Array, **kwargs: Any) -> Outcomes:
+    """Evaluate; what goes wrong is told with the genome that caused it.
+
+    Raises:
+        EvaluationError: an evaluation raised an exception, here or at a second try one by one.
+    """
+    try:
+        return task.evaluate(genomes, **kwargs)
+    except Exception as error:
+        for genome in genomes:
+            try:
+                task.evaluate(genome[None], threads=1)
+            except Exception as cause:
+                raise EvaluationError(
+                    f"evaluating a genome failed with {type(cause).__name__}: {cause}. The genome was "
+                    f"{genome.tolist()}"
+                ) from cause
+        raise EvaluationError(
+            f"evaluating {len(genomes)} genomes together failed with {type(error).__name__}: {error}; "
+            "each of them alone did not"
+        ) from error
+
+
+class RayEvaluator:
+    """Workers of a Ray cluster, a chunk to each at a time; the chunk of a lost one is evaluated anew.
+
+    Args:
+        address: of a running cluster ("auto" finds the one that this machine belongs to); None starts
+            one on this machine, which ends with the evaluator.
+
+    Raises:
+        EvaluationError: Ray is not installed, or no cluster can be reached.
+    """
+
+    def __init__(self, address: str | None = None) -> None:
+        self._address = address
+        self._started = False
+
+    def __enter__(self) -> RayEvaluator:
+        try:
+            import ray
+        except ImportError:
+            raise EvaluationError(
+                "the Ray evaluator needs Ray: pip install 'caterpillar-sma[ray]'"
+            ) from None
+        if not ray.is_initialized():
+            _reachable(self._address)
+            os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+            try:
+                ray.init(
+                    self._address, log_to_driver=False, include_dashboard=False, logging_level="ERROR"
+                )
+            except (ConnectionError, ValueError, RuntimeError) as error:
+                raise EvaluationError(
+                    f"no Ray cluster at {self._address or 'this machine'}: {error}"
+                ) from None
+            self._started = True
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        import ray
+
+        if self._started:
+            ray.shutdown()
+
+    def map(
+        self, task: Task, chunks: Sequence[Array], on_progress: Callable[[float], None] | None = None
+    ) -> Iterator[Outcomes]:
+        """See `Evaluator.map`; progress is told by whole chunks only."""
+        import ray
+
+        # As many workers as cores, one thread each; a lost worker's task is started again elsewhere.
+        remote = ray.remote(num_cpus=1, max_retries=-1)(explained)
+        shared = ray.put(task)
+        pending = [remote.remote(shared, chunk, threads=1) for chunk in chunks]
+        try:
+            for reference in pending:
+                try:
+                    outcomes: Outcomes = ray.get(reference)
+                except ray.exceptions.RayTaskError as error:
+                    raise error.as_instanceof_cause() from None
+                yield outcomes
+        finally:
+            for reference in pending:
+                ray.cancel(reference, force=True)
+
+
+def _reachable(address: str | None) -> None:
+    """Whether somebody listens there; Ray itself tries for minutes, and then ends the process."""
+    host, _, port = (address or "").removeprefix("ray://").rpartition(":")
+    if not port.isdigit():
+        return  # "auto", "local" or none: Ray knows
+    try:
+        socket.create_connection((host, int(port)), timeout=5).close()
+    except OSError as error:
+        raise EvaluationError(
+            f"no Ray cluster at {address} ({error.strerror or error}); `ray start --head` begins one; "
+            "without an address one is started on this machine"
+        ) from None

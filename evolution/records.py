@@ -1,0 +1,160 @@
+"""Looking at the records of runs: the subcommands `export` and `runs`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from caterpillar_env.errors import CaterpillarError
+from evolution import cli
+from evolution.fitness import Outcomes
+from evolution.genome import decode, genes
+from evolution.individual import Individual
+from evolution.journal import FILE, Journal, JournalError
+from evolution.run import RunConfig, read_configuration, scores
+
+if TYPE_CHECKING:
+    import polars
+
+Format = Literal["csv", "parquet", "json"]
+
+
+def table(folder: Path) -> polars.DataFrame:
+    """A row per evaluation of a run: outcome, fitness as the optimizer was told it, genes in SI units.
+
+    Raises:
+        JournalError: no journal, in use by another process, damaged, or of a newer version.
+    """
+    import polars
+
+    with Journal(folder) as journal:
+        config, _ = read_configuration(journal)
+        rows = list(journal.evaluations())
+    names = [g.name for g in genes(config.physics.num_segments, config.gait_period_s)]
+    genomes = np.array([e.genome for e in rows]).reshape(-1, len(names))
+    bodies, timings = decode(genomes, config.physics.num_segments, config.gait_period_s)
+    times = np.stack([timings.on_s, timings.off_s], axis=-1).reshape(len(rows), len(names) - 8)
+    values = np.concatenate([np.array([b.to_array() for b in bodies]).reshape(-1, 8), times], axis=1)
+    outcomes = Outcomes(
+        np.array([e.failure for e in rows], dtype=np.int8),
+        *(np.array([getattr(e, name) for e in rows], dtype=float) for name in Outcomes._fields[1:]),
+    )
+    columns: dict[str, Any] = {
+        "evaluation": np.array([e.number for e in rows], dtype=np.int64),
+        "generation": np.array([e.generation for e in rows], dtype=np.int64),
+        "failure": [e.failure.label for e in rows],
+        "fitness": scores(outcomes, config),
+        "distance_m": outcomes.distance_m,
+        "energy_j": outcomes.energy_j,
+        "simulated_s": outcomes.simulated_s,
+        "session": np.array([e.session for e in rows], dtype=np.int64),
+    }
+    return polars.DataFrame(columns | {name: values[:, i] for i, name in enumerate(names)})
+
+
+@dataclass(frozen=True)
+class ExportArgs:
+    """Write the evaluations of a run as a table, one row each, genes in SI units."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """The run folder."""
+    to: Format = "csv"
+    """Kind of file."""
+    out: Path | None = None
+    """File to write; by default evaluations.csv, .parquet or .json in the run folder."""
+
+
+def export_command(argv: Sequence[str]) -> int:
+    """`caterpillar export`."""
+    args = cli.parse(ExportArgs, argv, "export")
+    rows = table(args.folder)
+    out = args.out or args.folder / f"evaluations.{args.to}"
+    try:
+        with out.open("wb") as file:
+            getattr(rows, f"write_{args.to}")(file)
+    except OSError as error:
+        raise CaterpillarError(
+            f"cannot write {out}: {error.strerror}; choose another file with --out"
+        ) from None
+    print(f"{len(rows)} evaluations in {out}", file=sys.stderr)
+    return 0
+
+
+@dataclass(frozen=True)
+class RunsArgs:
+    """List the runs in a folder: what they are, how far they are, how good."""
+
+    folder: Annotated[Path, tyro.conf.Positional] = Path("runs")
+    """Where to look, the folders in it too."""
+    json: bool = False
+    """Print data instead of a table."""
+
+
+def runs_command(argv: Sequence[str]) -> int:
+    """`caterpillar runs`."""
+    args = cli.parse(RunsArgs, argv, "runs")
+    if not args.folder.is_dir():
+        raise CaterpillarError(f"{args.folder} is no folder; give the one that holds the runs")
+    found = [_summary(path.parent) for path in sorted(args.folder.glob(f"**/{FILE}"))]
+    if args.json:
+        print(json.dumps(found, indent=2))
+        return 0
+    if not found:
+        print(f"no runs in {args.folder}", file=sys.stderr)
+        return 0
+    shown = Table()
+    for heading in found[0]:
+        shown.add_column(heading)
+    for row in found:
+        shown.add_row(*("" if value is None else str(value) for value in row.values()))
+    Console(width=None if sys.stdout.isatty() else 150).print(shown)
+    return 0
+
+
+def _summary(folder: Path) -> dict[str, Any]:
+    row: dict[str, Any] = dict.fromkeys(
+        ("run", "state", "optimizer", "prior", "seed", "generation", "evaluations", "best, mm")
+    )
+    row["run"] = str(folder)
+    try:
+        with Journal(folder) as journal:
+            config, own = read_configuration(journal)
+            evaluations = list(journal.evaluations())
+    except JournalError as error:
+        busy = "another process" in str(error)
+        row["state"] = "running" if busy else str(error)
+        return row
+    done = 1 + evaluations[-1].generation if evaluations else 0
+    row |= {
+        "state": _state(config, own, len(evaluations), done),
+        "optimizer": own or config.optimizer,
+        "prior": config.prior,
+        "seed": config.seed,
+        "generation": f"{done} of {config.generations}",
+        "evaluations": len(evaluations),
+        "best, mm": _best_mm(folder),
+    }
+    return row
+
+
+def _state(config: RunConfig, own: str | None, evaluations: int, generations: int) -> str:
+    """Of a run that nobody works on."""
+    whole = config.evaluations() if own is None and config.optimizer != "cma-es" else evaluations
+    return "finished" if generations == config.generations and evaluations >= whole else "stopped"
+
+
+def _best_mm(folder: Path) -> float | None:
+    try:
+        fitness_m = Individual.load(folder).fitness_m
+    except CaterpillarError:
+        return None  # nobody has crawled forwards yet
+    return None if fitness_m is None else round(1000 * fitness_m, 1)

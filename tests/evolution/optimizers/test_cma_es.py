@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+
+from evolution.distributions import TruncatedGaussian, Uniform
+from evolution.optimizers.base import OptimizerError
+from evolution.optimizers.cma_es import CmaConfig, CmaEs
+
+GENES = [Uniform(), TruncatedGaussian(0.8, 0.1), TruncatedGaussian(0.0, 0.67)]
+
+
+def started(seed=0, genes=GENES, **config):
+    return CmaEs(genes, CmaConfig(**config), np.random.default_rng(seed))
+
+
+def asked(optimizer, generations, fitness_of=lambda genomes: genomes.sum(axis=1)):
+    all_of_them = []
+    for _ in range(generations):
+        genomes = optimizer.ask()
+        all_of_them.append(genomes)
+        optimizer.tell(genomes, fitness_of(genomes))
+    return all_of_them
+
+
+def test_first_generation_follows_the_prior():
+    genomes = started(cma_population=4_000).ask()
+    np.testing.assert_allclose(np.median(genomes, axis=0)[:2], [0.5, 0.8], atol=0.02)
+    assert np.median(genomes[:, 2]) < 0.25  # at the bound
+    spread = np.percentile(genomes[:, :2], 84, axis=0) - np.percentile(genomes[:, :2], 16, axis=0)
+    assert spread[0] == pytest.approx(0.6, abs=0.05)
+    assert spread[1] == pytest.approx(0.2, abs=0.03)
+
+
+def test_default_population_is_pycmas():
+    assert started(genes=[Uniform()] * 20).ask().shape == (12, 20)  # 4 + 3 ln 20
+
+
+def test_same_seed_same_questions_and_numpys_generator_is_left_alone():
+    np.random.seed(1)  # noqa: NPY002  the global generator is just what is watched
+    before = np.random.get_state()[1].tolist()  # noqa: NPY002
+    one, two, other = asked(started(3), 30), asked(started(3), 30), asked(started(4), 30)
+    assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
+    assert not np.array_equal(one[0], other[0])
+    assert np.random.get_state()[1].tolist() == before  # noqa: NPY002
+
+
+def test_a_converged_strategy_starts_anew_with_twice_the_population():
+    sizes = [len(g) for g in asked(started(cma_population=6), 400)]
+    assert sizes[0] == 6
+    assert set(sizes) > {6, 12}
+    assert sizes == sorted(sizes)
+    assert {len(g) for g in asked(started(cma_population=6, cma_restarts=False), 400)} == {6}
+
+
+def test_a_flat_beginning_does_not_stop_it():
+    genomes = asked(started(), 15, fitness_of=lambda g: np.zeros(len(g)))
+    assert len({len(g) for g in genomes}) == 1
+
+
+@pytest.mark.parametrize("settings", [{"cma_population": 3}, {"cma_sigma": 0.0}, {"cma_sigma": 1.5}])
+def test_unusable_settings_are_refused(settings):
+    with pytest.raises(OptimizerError, match=next(iter(settings))):
+        CmaConfig(**settings)
+
+
+def test_answers_to_other_questions_are_refused():
+    optimizer = started()
+    genomes = optimizer.ask()
+    assert np.array_equal(optimizer.ask(), genomes)  # asked once more, the same question
+    with pytest.raises(OptimizerError, match="exactly the genomes"):
+        optimizer.tell(genomes[::-1], np.zeros(len(genomes)))
+    with pytest.raises(OptimizerError, match="finite"):
+        optimizer.tell(genomes, np.full(len(genomes), np.nan))

@@ -1,0 +1,53 @@
+import numpy as np
+import pytest
+from scipy import stats
+
+from evolution.distributions import TruncatedGaussian, Uniform
+from evolution.optimizers.base import OptimizerError
+from evolution.optimizers.random_search import RandomSearch
+
+GENES = [Uniform(), TruncatedGaussian.with_floor(1.0)]
+
+
+def drawn(sampling, sizes, seed=0, genes=GENES):
+    """What is asked for in so many questions of these sizes, one after the other."""
+    parts = []
+    for population in {*sizes}:
+        search = RandomSearch(genes, population, sampling, np.random.default_rng(seed))
+        for _ in range(sizes.count(population)):
+            genomes = search.ask()
+            search.tell(genomes, np.zeros(population))
+            parts.append(genomes)
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize("sampling", ["independent", "sobol"])
+def test_genes_follow_their_distributions(sampling):
+    genomes = drawn(sampling, [2048])
+    assert genomes.shape == (2048, 2)
+    gaussian = GENES[1]
+    truncated = stats.truncnorm(
+        -gaussian.mu / gaussian.sigma, 0.0, loc=gaussian.mu, scale=gaussian.sigma
+    )  # fmt: skip
+    assert stats.kstest(genomes[:, 0], "uniform").pvalue > 0.01
+    assert stats.kstest(genomes[:, 1], truncated.cdf).pvalue > 0.01
+
+
+@pytest.mark.parametrize("sampling", ["independent", "sobol"])
+def test_size_of_a_question_does_not_matter(sampling):
+    np.testing.assert_array_equal(drawn(sampling, [12]), drawn(sampling, [4, 4, 4]))
+    assert not np.array_equal(drawn(sampling, [12]), drawn(sampling, [12], seed=1))
+
+
+def test_sobol_points_are_more_even_than_independent_ones():
+    def largest_gap(sampling):
+        return np.diff(np.sort(drawn(sampling, [256], genes=[Uniform()] * 3)[:, 2])).max()
+
+    assert largest_gap("sobol") < 2.5 / 256 < largest_gap("independent")
+
+
+def test_unusable_settings_are_refused():
+    with pytest.raises(OptimizerError, match="population = 0"):
+        RandomSearch(GENES, 0, "independent", np.random.default_rng(0))
+    with pytest.raises(OptimizerError, match="sampling = 'grid'"):
+        RandomSearch(GENES, 4, "grid", np.random.default_rng(0))

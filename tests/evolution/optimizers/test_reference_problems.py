@@ -1,0 +1,73 @@
+"""Optimizers on problems with known answers, in the box [0, 1]^n; fitness is 1 / (1 + value)."""
+
+import numpy as np
+import pytest
+
+from evolution.distributions import Uniform
+from evolution.optimizers.cma_es import CmaConfig, CmaEs
+from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
+from evolution.optimizers.random_search import RandomSearch
+
+DIMENSIONS = 6
+
+
+def sphere(x):
+    """Least, 0, at 0.3 in every gene."""
+    return ((10 * (x - 0.3)) ** 2).sum(axis=1)
+
+
+def rastrigin(x):
+    """Least, 0, at 0.6 in every gene; a thousand local minima around it."""
+    z = 10.24 * (x - 0.6)
+    return (z**2 - 10 * np.cos(2 * np.pi * z) + 10).sum(axis=1)
+
+
+def rosenbrock(x):
+    """Least, 0, at the end of a curved valley: 0.75 in every gene."""
+    z = 4 * x - 2
+    return (100 * (z[:, 1:] - z[:, :-1] ** 2) ** 2 + (1 - z[:, :-1]) ** 2).sum(axis=1)
+
+
+def least(optimizer, problem, evaluations):
+    """The least value among so many evaluations, and where."""
+    best, where, done = np.inf, None, 0
+    while done < evaluations:
+        genomes = optimizer.ask()
+        assert ((genomes >= 0) & (genomes <= 1)).all()
+        values = problem(genomes)
+        optimizer.tell(genomes, 1 / (1 + values))
+        done += len(genomes)
+        if values.min() < best:
+            best, where = values.min(), genomes[values.argmin()]
+    return best, where
+
+
+def cma_es(seed=0, **config):
+    return CmaEs([Uniform()] * DIMENSIONS, CmaConfig(**config), np.random.default_rng(seed))
+
+
+def ga(seed=0):
+    genes = [Uniform()] * DIMENSIONS
+    return GeneticAlgorithm(genes, genes, GaConfig(population=100), np.random.default_rng(seed))
+
+
+def random_search(seed=0):
+    return RandomSearch([Uniform()] * DIMENSIONS, 100, "independent", np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize(
+    ("problem", "optimum", "evaluations"),
+    [(sphere, 0.3, 2_000), (rosenbrock, 0.75, 6_000), (rastrigin, 0.6, 40_000)],
+)
+def test_cma_es_finds_the_known_optimum(problem, optimum, evaluations):
+    value, where = least(cma_es(), problem, evaluations)
+    assert value < 1e-9
+    np.testing.assert_allclose(where, optimum, atol=1e-5)
+
+
+@pytest.mark.parametrize(("problem", "value"), [(sphere, 0.5), (rosenbrock, 15.0), (rastrigin, 12.0)])
+def test_the_genetic_algorithm_beats_random_search_and_comes_near(problem, value):
+    evolved = [least(ga(seed), problem, 10_000)[0] for seed in range(5)]
+    drawn = [least(random_search(seed), problem, 10_000)[0] for seed in range(5)]
+    assert np.median(evolved) < value
+    assert np.median(evolved) < np.median(drawn)

@@ -1,0 +1,134 @@
+"""Where genomes are evaluated makes no difference to what comes out."""
+
+import os
+import signal
+import sys
+
+import numpy as np
+import pytest
+
+from caterpillar_env.model import Physics
+from evolution.evaluators import EvaluationError, LocalEvaluator, RayEvaluator, Task
+from evolution.fitness import Outcomes
+
+TASK = Task(Physics(num_segments=2, timestep_s=0.01))
+GENOMES = np.random.default_rng(0).random((12, 12))
+CHUNKS = [GENOMES[:5], GENOMES[5:6], GENOMES[6:]]
+
+
+def joined(parts):
+    return Outcomes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def same(one, other):
+    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+@pytest.fixture(scope="module")
+def reference():
+    return TASK.evaluate(GENOMES, threads=1)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 4])
+def test_threads_and_chunks_do_not_matter(reference, threads):
+    with LocalEvaluator(threads) as evaluator:
+        assert same(joined(evaluator.map(TASK, CHUNKS)), reference)
+
+
+def test_progress_runs_to_the_end_of_each_chunk():
+    shares = []
+    with LocalEvaluator(1) as evaluator:
+        for _ in evaluator.map(TASK, CHUNKS[:2], shares.append):
+            assert shares[-1] == pytest.approx(1.0)
+    assert len(shares) == 600
+
+
+class Breaks(Task):
+    """A task with a bug that shows in some genomes."""
+
+    def evaluate(self, genomes, **kwargs):
+        if (genomes[:, 0] > 0.9).any():
+            raise ZeroDivisionError("a bug")
+        return super().evaluate(genomes, **kwargs)
+
+
+def test_an_exception_is_told_with_its_genome():
+    genomes = np.full((4, 12), 0.5)
+    genomes[2, 0] = 0.95
+    with pytest.raises(EvaluationError, match="ZeroDivisionError: a bug") as told:
+        list(LocalEvaluator(1).map(Breaks(TASK.physics), [genomes]))
+    assert "0.95" in str(told.value)
+
+
+# Ray
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A real cluster of two workers on this machine."""
+    ray = pytest.importorskip("ray")
+    ray.init(
+        num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="ERROR",
+        runtime_env={"env_vars": {"PYTHONPATH": os.pathsep.join(sys.path)}},
+    )  # fmt: skip
+    yield ray
+    ray.shutdown()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+def test_ray_gives_the_same_bits_in_the_same_order(cluster, reference):
+    with RayEvaluator() as evaluator:
+        assert same(joined(evaluator.map(TASK, CHUNKS)), reference)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+def test_chunk_of_a_killed_worker_is_evaluated_again(cluster, reference):
+    @cluster.remote
+    def identity():
+        return os.getpid()
+
+    with RayEvaluator() as evaluator:
+        results = evaluator.map(Task(Physics(num_segments=2, timestep_s=0.001)), [GENOMES] * 4)
+        first = next(results)
+        victims = {cluster.get(identity.remote()) for _ in range(4)} | set(workers())
+        for pid in victims:
+            os.kill(pid, signal.SIGKILL)
+        rest = list(results)
+    assert len(victims) >= 2
+    assert all(same(first, other) for other in rest)
+    assert len(rest) == 3
+
+
+def workers():
+    """Processes of Ray that evaluate at this moment."""
+    found = []
+    for name in os.listdir("/proc"):
+        if name.isdigit():
+            try:
+                with open(f"/proc/{name}/cmdline", "rb") as file:
+                    command = file.read()
+            except OSError:
+                continue
+            if command.startswith(b"ray::explained"):
+                found.append(int(name))
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+def test_an_exception_on_a_worker_is_told_with_its_genome(cluster):
+    genomes = np.full((4, 12), 0.5)
+    genomes[2, 0] = 7.0
+    with RayEvaluator() as evaluator, pytest.raises(EvaluationError, match="every gene must lie in"):
+        list(evaluator.map(TASK, [genomes]))
+
+
+def test_an_address_without_a_cluster_is_told():
+    pytest.importorskip("ray")
+    with (
+        pytest.raises(EvaluationError, match=r"no Ray cluster at 127\.0\.0\.1:1"),
+        RayEvaluator("127.0.0.1:1"),
+    ):
+        pass

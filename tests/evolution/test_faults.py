@@ -1,0 +1,77 @@
+"""Runs that are killed, again and again, end as if nothing had happened."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from evolution.individual import Individual
+from evolution.records import table
+
+RUN = """
+import sys
+from pathlib import Path
+import evolution.run as run
+from caterpillar_env.model import Physics
+from evolution.evaluators import LocalEvaluator
+from evolution.optimizers.cma_es import CmaConfig
+from evolution.optimizers.ga import GaConfig
+
+folder, optimizer = Path(sys.argv[1]), sys.argv[2]
+run.CHUNK = 4
+config = run.RunConfig(
+    seed=7, generations=12, optimizer=optimizer, physics=Physics(num_segments=2, timestep_s=0.01),
+    ga=GaConfig(population=14, hall_of_fame=2), cma=CmaConfig(cma_population=12),
+)
+
+class Logged(LocalEvaluator):
+    def map(self, task, chunks, on_progress=None):
+        for chunk in chunks:
+            with (folder.parent / f"{folder.name}.log").open("a") as log:
+                print(len(chunk), file=log)
+            yield from super().map(task, [chunk], on_progress)
+
+begun = (folder / "journal.sqlite").exists()
+if begun:
+    run.resume(folder, evaluator=Logged(1))
+else:
+    run.evolve(config, folder, evaluator=Logged(1))
+"""
+
+
+def process(folder, optimizer):
+    return subprocess.Popen([sys.executable, "-c", RUN, str(folder), optimizer])
+
+
+def evaluated(folder):
+    """How many genomes were begun to be evaluated, over all processes."""
+    log = folder.with_name(f"{folder.name}.log")
+    return sum(int(line) for line in log.read_text().split()) if log.exists() else 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("optimizer", "kills"), [("ga", 8), ("cma-es", 6)])
+def test_killed_at_random_points_equals_uninterrupted(tmp_path, optimizer, kills):
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    assert process(whole, optimizer).wait() == 0
+    rng = np.random.default_rng(0)
+    for _ in range(kills):
+        before = evaluated(broken)
+        worker = process(broken, optimizer)
+        while evaluated(broken) == before and worker.poll() is None:
+            time.sleep(0.005)
+        time.sleep(float(rng.uniform(0.0, 1.5)))
+        assert worker.poll() is None, "the run was over before the last kill"
+        os.kill(worker.pid, signal.SIGKILL)
+        worker.wait()
+    assert process(broken, optimizer).wait() == 0
+
+    assert table(broken).drop("session").equals(table(whole).drop("session"))
+    assert Individual.load(broken).to_dict() == Individual.load(whole).to_dict()
+    assert table(broken)["session"].n_unique() > 3
+    # Nothing is evaluated twice but the chunk of four that was in flight at each kill.
+    assert evaluated(broken) <= evaluated(whole) + 4 * kills
