@@ -19,8 +19,7 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.model import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.task import EPISODE_S
-from evolution.fitness import Outcomes, simulate
-from evolution.genome import decode
+from evolution.fitness import Outcomes, evaluate
 
 Array = NDArray[np.float64]
 CHUNK = 50  #: genomes that are evaluated, and recorded, together
@@ -47,7 +46,6 @@ class Task:
             threads: 0 means all cores.
             on_progress: told the share that is done.
         """
-        bodies, timings = decode(genomes, self.physics.num_segments, self.gait_period_s)
         intervals = 0
 
         def tick(_: object) -> None:
@@ -56,7 +54,7 @@ class Task:
             if on_progress is not None:
                 on_progress(intervals * CONTROL_INTERVAL_S / EPISODE_S)
 
-        return simulate(bodies, timings, self.physics, threads=threads, on_interval=tick)
+        return evaluate(genomes, self.physics, self.gait_period_s, threads=threads, on_interval=tick)
 
 
 class Evaluator(Protocol):
@@ -176,15 +174,17 @@ class RayEvaluator:
         shared = ray.put(task)
         pending = [remote.remote(shared, chunk, threads=1) for chunk in chunks]
         try:
-            for reference in pending:
+            while pending:
                 try:
-                    outcomes: Outcomes = ray.get(reference)
+                    outcomes: Outcomes = ray.get(pending[0])
                 except ray.exceptions.RayTaskError as error:
                     raise error.as_instanceof_cause() from None
+                del pending[0]
                 yield outcomes
         finally:
+            # Only what nobody has: to cancel by force what is just done aborts Ray 2.60, and us with it.
             for reference in pending:
-                ray.cancel(reference, force=True)
+                ray.cancel(reference)
 
 
 def _reachable(address: str | None) -> None:

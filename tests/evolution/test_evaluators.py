@@ -3,6 +3,8 @@
 import os
 import signal
 import sys
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -63,6 +65,12 @@ def test_an_exception_is_told_with_its_genome():
 # Ray
 
 
+def needs_ray(test):
+    """Slow, on one cluster of one test process, with Ray's own warnings let through."""
+    alone = pytest.mark.xdist_group("ray")
+    return pytest.mark.slow(pytest.mark.filterwarnings("default")(alone(test)))
+
+
 @pytest.fixture(scope="module")
 def cluster():
     """A real cluster of two workers on this machine."""
@@ -75,49 +83,45 @@ def cluster():
     ray.shutdown()
 
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("default")
+@needs_ray
 def test_ray_gives_the_same_bits_in_the_same_order(cluster, reference):
     with RayEvaluator() as evaluator:
         assert same(joined(evaluator.map(TASK, CHUNKS)), reference)
 
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("default")
-def test_chunk_of_a_killed_worker_is_evaluated_again(cluster, reference):
-    @cluster.remote
-    def identity():
-        return os.getpid()
+class KillsItsWorkers(Task):
+    """A task whose first evaluations kill the processes that they run in, halfway."""
 
+    marks: ClassVar[Path]
+
+    def evaluate(self, genomes, **kwargs):
+        outcomes = super().evaluate(genomes[:1], **kwargs)
+        for mark in (self.marks / "first", self.marks / "second"):
+            if not mark.exists():
+                mark.write_text(str(os.getpid()))
+                os.kill(os.getpid(), signal.SIGKILL)
+        return Outcomes(
+            *(
+                np.concatenate(parts)
+                for parts in zip(outcomes, super().evaluate(genomes[1:], **kwargs), strict=True)
+            )
+        )
+
+
+@needs_ray
+def test_chunk_of_a_killed_worker_is_evaluated_again(cluster, reference, tmp_path):
+    # By value: the workers cannot import the tests.
+    cluster.cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    KillsItsWorkers.marks = tmp_path
     with RayEvaluator() as evaluator:
-        results = evaluator.map(Task(Physics(num_segments=2, timestep_s=0.001)), [GENOMES] * 4)
-        first = next(results)
-        victims = {cluster.get(identity.remote()) for _ in range(4)} | set(workers())
-        for pid in victims:
-            os.kill(pid, signal.SIGKILL)
-        rest = list(results)
-    assert len(victims) >= 2
-    assert all(same(first, other) for other in rest)
-    assert len(rest) == 3
+        results = list(evaluator.map(KillsItsWorkers(TASK.physics), [GENOMES] * 4))
+    killed = {path.read_text() for path in tmp_path.iterdir()}
+    assert len(killed) == 2
+    assert len(results) == 4
+    assert all(same(outcomes, reference) for outcomes in results)
 
 
-def workers():
-    """Processes of Ray that evaluate at this moment."""
-    found = []
-    for name in os.listdir("/proc"):
-        if name.isdigit():
-            try:
-                with open(f"/proc/{name}/cmdline", "rb") as file:
-                    command = file.read()
-            except OSError:
-                continue
-            if command.startswith(b"ray::explained"):
-                found.append(int(name))
-    return found
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("default")
+@needs_ray
 def test_an_exception_on_a_worker_is_told_with_its_genome(cluster):
     genomes = np.full((4, 12), 0.5)
     genomes[2, 0] = 7.0
