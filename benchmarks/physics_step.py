@@ -1,7 +1,4 @@
-"""What a physics step costs, by part and by setting: eight evolved robots on one thread.
-
-python -m benchmarks.physics_step
-"""
+"""What a physics step costs, by part and by setting, one thread: `python -m benchmarks.physics_step`."""
 
 from __future__ import annotations
 

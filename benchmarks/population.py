@@ -19,8 +19,8 @@ from benchmarks.recording import recorded
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.model import SMA_STEP_S, Physics
 from caterpillar_env.task import EPISODE_S, Crawl
-from evolution.fitness import simulate
-from evolution.genome import decode, genes
+from evolution.fitness import evaluate, simulate
+from evolution.genome import genes
 from evolution.validation.robots import random_robots
 
 
@@ -101,8 +101,7 @@ def memory(evaluations: int) -> None:
             rows.append({"evaluations": done, "resident MB": _resident_mb()})
         if done < evaluations:
             genomes = rng.random((200, size))
-            bodies, timings = decode(genomes, physics.num_segments, GAIT_PERIOD_S)
-            simulate(bodies, timings, physics, duration_s=0.1)
+            evaluate(genomes, physics, GAIT_PERIOD_S, duration_s=0.1)
     growth = rows[-1]["resident MB"] - rows[1]["resident MB"]
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     report("memory over evaluations", rows, growth_mb=growth, peak_mb=peak)

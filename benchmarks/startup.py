@@ -1,7 +1,4 @@
-"""Import, `--help` and reset with a new body.
-
-python -m benchmarks.startup
-"""
+"""Import, `--help` and reset with a new body: `python -m benchmarks.startup`."""
 
 from __future__ import annotations
 

@@ -181,9 +181,9 @@ class Episodes:
             raise TimingError(
                 f"actions must be numbers of shape {expected[1:]} a robot, {expected} in all; got {got}"
             )
-        if not np.isfinite(array.sum()) and not np.isfinite(array).all():
+        if not np.isfinite(array).all():
             raise TimingError(f"actions must be finite; got {actions!r}")
-        if self.action_mode == "switch" and not (array * array == array).all():
+        if self.action_mode == "switch" and not ((array == 0) | (array == 1)).all():
             raise TimingError(f"switch actions must be 0 (off) or 1 (on); got {actions!r}")
         return array
 

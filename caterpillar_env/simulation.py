@@ -266,8 +266,7 @@ class Simulation:
     def diverged(self, rows: Rows | None = None) -> NDArray[np.bool_]:
         """Whether MuJoCo warned of a bad state or a full constraint buffer since reset, (R,)."""
         index = self._rows(rows)
-        # A sum is finite only if all its terms are.
-        finite = np.isfinite(self._qpos[index].sum(axis=1) + self._qvel[index].sum(axis=1))
+        finite = np.isfinite(self._qpos[index]).all(axis=1) & np.isfinite(self._qvel[index]).all(axis=1)
         warned = self._warning[index, :, 1].any(axis=1)
         diverged: NDArray[np.bool_] = warned | ~finite
         return diverged

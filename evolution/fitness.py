@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,17 +33,17 @@ class Outcomes(NamedTuple):
         return np.where(ok, np.maximum(self.distance_m, 0.0), failed_fitness)
 
 
-def evaluate(genomes: Array, physics: Physics, period_s: float, *, threads: int = 0) -> Outcomes:
+def evaluate(genomes: Array, physics: Physics, period_s: float, **kwargs: Any) -> Outcomes:
     """Simulate P genomes side by side.
 
     Args:
         genomes: in [0, 1], shape (P, n).
         physics: material, numerics, number of segments.
         period_s: gait period, a whole number of control intervals.
-        threads: 0 means all cores; results do not depend on it.
+        **kwargs: as for `simulate`.
     """
     morphologies, timings = decode(genomes, physics.num_segments, period_s)
-    return simulate(morphologies, timings, physics, threads=threads)
+    return simulate(morphologies, timings, physics, **kwargs)
 
 
 def simulate(

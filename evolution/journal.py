@@ -77,6 +77,16 @@ class Evaluation(NamedTuple):
     session: int
 
 
+def outcomes_of(evaluations: Sequence[Evaluation]) -> Outcomes:
+    """What became of recorded genomes, as the evaluator told it."""
+    return Outcomes(
+        np.array([e.failure for e in evaluations], dtype=np.int8),
+        np.array([e.distance_m for e in evaluations], dtype=np.float64),
+        np.array([e.energy_j for e in evaluations], dtype=np.float64),
+        np.array([e.simulated_s for e in evaluations], dtype=np.float64),
+    )
+
+
 def fingerprint() -> dict[str, str]:
     """What the bits of a result depend on besides the configuration."""
     packages = ("caterpillar-sma", "mujoco", "numpy", "scipy", "cma")

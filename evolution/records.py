@@ -16,10 +16,9 @@ from rich.table import Table
 
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli
-from evolution.fitness import Outcomes
 from evolution.genome import decode, genes
 from evolution.individual import Individual
-from evolution.journal import FILE, Journal, JournalError
+from evolution.journal import FILE, Journal, JournalError, outcomes_of
 from evolution.run import RunConfig, read_configuration, scores
 
 if TYPE_CHECKING:
@@ -44,10 +43,7 @@ def table(folder: Path) -> polars.DataFrame:
     bodies, timings = decode(genomes, config.physics.num_segments, config.gait_period_s)
     times = np.stack([timings.on_s, timings.off_s], axis=-1).reshape(len(rows), len(names) - 8)
     values = np.concatenate([np.array([b.to_array() for b in bodies]).reshape(-1, 8), times], axis=1)
-    outcomes = Outcomes(
-        np.array([e.failure for e in rows], dtype=np.int8),
-        *(np.array([getattr(e, name) for e in rows], dtype=float) for name in Outcomes._fields[1:]),
-    )
+    outcomes = outcomes_of(rows)
     columns: dict[str, Any] = {
         "evaluation": np.array([e.number for e in rows], dtype=np.int64),
         "generation": np.array([e.generation for e in rows], dtype=np.int64),

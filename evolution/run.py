@@ -24,7 +24,7 @@ from evolution.evaluators import CHUNK, Evaluator, LocalEvaluator, Task
 from evolution.fitness import Outcomes
 from evolution.genome import check, genes
 from evolution.individual import Individual
-from evolution.journal import Evaluation, Journal, fingerprint
+from evolution.journal import Evaluation, Journal, fingerprint, outcomes_of
 from evolution.optimizers.base import Optimizer
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
@@ -335,16 +335,7 @@ def _replayed(known: Sequence[Evaluation], genomes: Array, path: Path) -> list[O
                 "for now: the package or NumPy has changed since, or it belongs to another run. "
                 "Install the versions of its table `sessions`, or start anew"
             )
-    if not known:
-        return []
-    return [
-        Outcomes(
-            np.array([e.failure for e in known], dtype=np.int8),
-            np.array([e.distance_m for e in known]),
-            np.array([e.energy_j for e in known]),
-            np.array([e.simulated_s for e in known]),
-        )
-    ]
+    return [outcomes_of(known)] if known else []
 
 
 def _evaluated(

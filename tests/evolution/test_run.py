@@ -465,14 +465,12 @@ def test_an_optimizer_from_elsewhere_drives_a_run_and_its_resumption(tmp_path):
 
 
 def test_an_exception_in_evaluation_stops_the_run_with_the_genome(tmp_path, monkeypatch):
-    import evolution.evaluators as evaluators
-
     def breaks(bodies, timings, physics, **kwargs):
         if any(body.segment_mass_kg > 0.0095 for body in bodies):
             raise ZeroDivisionError("a bug")
         return simulate(bodies, timings, physics, **kwargs)
 
-    monkeypatch.setattr(evaluators, "simulate", breaks)
+    monkeypatch.setattr("evolution.fitness.simulate", breaks)
     config = RunConfig(generations=1, physics=SHORT, ga=GaConfig(population=20, hall_of_fame=0))
     with pytest.raises(EvaluationError, match="failed with ZeroDivisionError: a bug") as told:
         evolve(config, tmp_path, evaluator=ONE)
