@@ -10,6 +10,7 @@ recorded and repeated with nothing around them.
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -21,8 +22,9 @@ from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from numpy.typing import NDArray
 
 import caterpillar_env  # noqa: F401  registers the environments
-from benchmarks.harness import report, rounds, spread, timed
-from benchmarks.recording import Recording, recorded
+from benchmarks.harness import report, spread, turns
+from benchmarks.recording import recorded
+from caterpillar_env.model import SMA_STEP_S, Physics
 from caterpillar_env.sma import SmaState, advance
 
 Array = NDArray[np.float64]
@@ -36,29 +38,36 @@ def actions_of(space: gymnasium.Space[Any], count: int) -> list[Any]:
     return [space.sample() for _ in range(count)]
 
 
-def run(env: Any, actions: list[Any]) -> Callable[[], float]:
-    """Seconds per step of an environment that is reset first."""
+def run(env: Any, actions: list[Any]) -> Callable[[], Callable[[int], Any]]:
+    """The steps of an environment that is reset first."""
 
-    def cost() -> float:
+    def begin() -> Callable[[int], Any]:
         env.reset(seed=SEED)
+        return lambda number: env.step(actions[number])
 
-        def work() -> None:
+    return begin
+
+
+class Repeated:
+    """What an environment asks of the engine, step by step."""
+
+    def __init__(self, env: Any, actions: list[Any]) -> None:
+        env.reset(seed=SEED)
+        ends = [0]
+        with recorded(env.unwrapped._episodes.crawl.simulation) as self.calls:
             for action in actions:
                 env.step(action)
+                ends.append(len(self.calls.calls))
+        self.spans = list(itertools.pairwise(ends))
 
-        return timed(work) / len(actions)
+    def alone(self, threads: int) -> Callable[[], Callable[[int], Any]]:
+        """The same with nothing around it."""
 
-    return cost
+        def begin() -> Callable[[int], Any]:
+            batch = self.calls.batch(threads)
+            return lambda number: self.calls.repeat(batch, *self.spans[number])
 
-
-def repeat(recording: Recording, threads: int, steps: int) -> Callable[[], float]:
-    """Seconds per environment step of the recorded engine calls alone."""
-
-    def cost() -> float:
-        batch = recording.batch(threads)
-        return timed(lambda: recording.repeat(batch)) / steps
-
-    return cost
+        return begin
 
 
 def vector(mode: str, count: int, steps: int, repeats: int) -> dict[str, Any]:
@@ -66,14 +75,10 @@ def vector(mode: str, count: int, steps: int, repeats: int) -> dict[str, Any]:
     native: Any = gymnasium.make_vec(IDS[mode], num_envs=count, threads=0)
     single = gymnasium.make_vec(IDS[mode], num_envs=count, threads=1)
     actions = actions_of(native.action_space, steps)
-    native.reset(seed=SEED)
-    with recorded(native.unwrapped._episodes.crawl.simulation) as recording:
-        for action in actions:
-            native.step(action)
     contestants = {
         "native": run(native, actions),
+        "bare": Repeated(native, actions).alone(0),
         "1 thread": run(single, actions),
-        "bare": repeat(recording, 0, steps),
     }
     peers: list[Any] = []
     makers = [lambda: gymnasium.make(IDS[mode])] * count
@@ -83,7 +88,7 @@ def vector(mode: str, count: int, steps: int, repeats: int) -> dict[str, Any]:
     if count <= 64:
         peers.append(AsyncVectorEnv(makers))
         contestants["async"] = run(peers[-1], actions)
-    costs = rounds(contestants, repeats)
+    costs = turns(contestants, steps, repeats)
     for env in (native, single, *peers):
         env.close()
     row: dict[str, Any] = {
@@ -102,20 +107,20 @@ def single(mode: str, steps: int, repeats: int) -> dict[str, Any]:
     """`gymnasium.make` against a bare loop over `mj_step`, and one that heats the springs as well."""
     env: Any = gymnasium.make(IDS[mode])
     actions = actions_of(env.action_space, steps)
-    env.reset(seed=SEED)
-    simulation = env.unwrapped._episodes.crawl.simulation
-    with recorded(simulation) as recording:
-        for action in actions:
-            env.step(action)
-    model = recording.models[0]
-    controls = np.concatenate([control[0] for _, control, _ in recording.rollouts])
-    costs = rounds(
+    repeated = Repeated(env, actions)
+    model = repeated.calls.models[0]
+    controls = [
+        np.concatenate([call["control"][0] for _, call in repeated.calls.calls[first:last]])
+        for first, last in repeated.spans
+    ]
+    costs = turns(
         {
             "ours": run(env, actions),
-            "bare": lambda: timed(lambda: _steps(model, controls)) / steps,
-            "batch": repeat(recording, 1, steps),
-            "plain": lambda: timed(lambda: _plain(env, model, len(controls))) / steps,
+            "bare": lambda: _steps(model, controls),
+            "batch": repeated.alone(1),
+            "plain": lambda: _plain(env.unwrapped._episodes.physics, model, controls),
         },
+        steps,
         repeats,
     )
     return {
@@ -127,24 +132,33 @@ def single(mode: str, steps: int, repeats: int) -> dict[str, Any]:
     }
 
 
-def _steps(model: mujoco.MjModel, controls: Array) -> None:
+def _steps(model: mujoco.MjModel, controls: list[Array]) -> Callable[[int], None]:
     data = mujoco.MjData(model)
-    for control in controls:
-        data.ctrl[:] = control
-        mujoco.mj_step(model, data)
+
+    def step(number: int) -> None:
+        for control in controls[number]:
+            data.ctrl[:] = control
+            mujoco.mj_step(model, data)
+
+    return step
 
 
-def _plain(env: Any, model: mujoco.MjModel, steps: int) -> None:
+def _plain(physics: Physics, model: mujoco.MjModel, controls: list[Array]) -> Callable[[int], None]:
     """What one would write first: heat the springs, set the controls, step. No task around it."""
     data = mujoco.MjData(model)
-    physics = env.unwrapped._episodes.physics
     state = SmaState.cold(physics.spring, (physics.num_springs,))
     power = np.random.default_rng(SEED).integers(0, 2, (1, physics.num_springs)).astype(float)
-    for step in range(steps):
-        if step % 2 == 0:
-            state = advance(physics.spring, state, power, 0.01).state
-        data.ctrl[:] = state.fraction
-        mujoco.mj_step(model, data)
+    substeps = round(SMA_STEP_S / physics.timestep_s)
+
+    def step(number: int) -> None:
+        nonlocal state
+        for count in range(len(controls[number])):
+            if count % substeps == 0:
+                state = advance(physics.spring, state, power, SMA_STEP_S).state
+            data.ctrl[:] = state.fraction
+            mujoco.mj_step(model, data)
+
+    return step
 
 
 def ant(steps: int, repeats: int) -> dict[str, Any]:
@@ -153,23 +167,25 @@ def ant(steps: int, repeats: int) -> dict[str, Any]:
     actions = actions_of(env.action_space, steps)
     model, skip = env.unwrapped.model, env.unwrapped.frame_skip
 
-    def bare() -> None:
+    def bare() -> Callable[[int], None]:
         data = mujoco.MjData(model)
-        for action in actions:
-            data.ctrl[:] = action
+
+        def step(number: int) -> None:
+            data.ctrl[:] = actions[number]
             mujoco.mj_step(model, data, nstep=skip)
 
-    def ours() -> float:
+        return step
+
+    def ours() -> Callable[[int], None]:
         env.reset(seed=SEED)
 
-        def work() -> None:
-            for action in actions:
-                if env.step(action)[2]:
-                    env.reset()
+        def step(number: int) -> None:
+            if env.step(actions[number])[2]:
+                env.reset()
 
-        return timed(work) / steps
+        return step
 
-    costs = rounds({"ant": ours, "bare": lambda: timed(bare) / steps}, repeats)
+    costs = turns({"ant": ours, "bare": bare}, steps, repeats)
     return {
         "environment": "Ant-v5 (Gymnasium)",
         "share of bare mj_step": spread(costs["bare"] / costs["ant"]),

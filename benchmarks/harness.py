@@ -42,6 +42,34 @@ def rounds(contestants: Mapping[str, Callable[[], float]], repeats: int) -> dict
     return {name: np.array(values) for name, values in costs.items()}
 
 
+def turns(
+    contestants: Mapping[str, Callable[[], Callable[[int], Any]]], steps: int, repeats: int
+) -> dict[str, Array]:
+    """Seconds per step of contestants that take turns step by step, once a repeat, shape (repeats,).
+
+    Where all make the same steps, this is fairer than rounds: a slow spell of the machine, and a step
+    that is dear, falls on all of them alike.
+
+    Args:
+        contestants: each begins anew when called, and returns what makes its step number i.
+        steps: how many steps.
+        repeats: how many times.
+    """
+    costs: dict[str, list[float]] = {name: [] for name in contestants}
+    for _ in range(repeats):
+        makers = {name: begin() for name, begin in contestants.items()}
+        spent = dict.fromkeys(makers, 0.0)
+        for number in range(steps):
+            order = list(makers) if number % 2 == 0 else list(makers)[::-1]
+            for name in order:
+                spent[name] += timed(lambda make=makers[name], i=number: make(i))  # type: ignore[misc]
+        for name, seconds in spent.items():
+            costs[name].append(seconds / steps)
+        print(".", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    return {name: np.array(values) for name, values in costs.items()}
+
+
 def spread(values: Array) -> dict[str, float]:
     """Median, least and greatest."""
     return {"median": float(np.median(values)), "min": float(values.min()), "max": float(values.max())}

@@ -38,7 +38,7 @@ def recording(**changes: Any) -> Recording:
     crawl.reset(bodies)
     with recorded(crawl.simulation) as calls:
         crawl.run(power[:, : round(SECONDS / SMA_STEP_S)])
-    return calls.joined()
+    return calls
 
 
 def cost(calls: Recording, edit: Callable[[mujoco.MjModel], None] | None = None) -> Callable[[], float]:

@@ -31,41 +31,45 @@ def evaluation(bodies: int, seconds: float, repeats: int) -> None:
     crawl = Crawl(bodies, physics)
     crawl.reset(robots)
     power = timings.mirrored().power(SMA_STEP_S)
-    with recorded(crawl.simulation) as recording:
+    with recorded(crawl.simulation) as bare:
         for _ in range(round(seconds / timings.period_s)):
             crawl.run(power)
-    bare = recording.joined()
-    steps = recording.steps
 
-    def ours(threads: int) -> Callable[[], float]:
-        return lambda: timed(
-            lambda: simulate(robots, timings, physics, threads=threads, duration_s=seconds)
+    def race(threads: int) -> tuple[float, float]:
+        """Seconds of ours and of the engine alone, which repeats every interval right after us."""
+        batch, intervals, engine_s = bare.batch(threads), 0, 0.0
+
+        def repeat(_: object) -> None:
+            nonlocal intervals, engine_s
+            engine_s += timed(lambda: bare.repeat(batch, intervals, intervals + 1))
+            intervals += 1
+
+        total_s = timed(
+            lambda: simulate(
+                robots, timings, physics, threads=threads, duration_s=seconds, on_interval=repeat
+            )
         )
+        return total_s - engine_s, engine_s
 
-    def limit(threads: int) -> Callable[[], float]:
-        def cost() -> float:
-            batch = bare.batch(threads)
-            return timed(lambda: bare.repeat(batch))
-
-        return cost
-
-    costs = rounds(
-        {"ours 1": ours(1), "bare 1": limit(1), "ours 2": ours(2), "bare 2": limit(2)}, repeats
-    )
+    races = []
+    for number in range(repeats):
+        order = (1, 2) if number % 2 == 0 else (2, 1)
+        races.append({threads: race(threads) for threads in order})
+    costs = {threads: np.array([found[threads] for found in races]).T for threads in (1, 2)}
     rows = [
         {
             "threads": n,
-            "ours over bare": spread(costs[f"ours {n}"] / costs[f"bare {n}"]),
-            "us per body-step": spread(1e6 * costs[f"ours {n}"] / steps),
-            "1 thread over this": spread(costs["ours 1"] / costs[f"ours {n}"]),
-            "the same, bare": spread(costs["bare 1"] / costs[f"bare {n}"]),
+            "ours over bare": spread(ours / engine),
+            "us per body-step": spread(1e6 * ours / bare.steps),
+            "1 thread over this": spread(costs[1][0] / ours),
+            "the same, bare": spread(costs[1][1] / engine),
         }
-        for n in (1, 2)
+        for n, (ours, engine) in costs.items()
     ]
     failed = int((crawl.failure != 0).sum())
     report(
         f"population: {bodies} random genomes, {seconds:g} s, {failed} of them end early",
-        rows, bodies=bodies, seconds=seconds, physics_steps=steps,
+        rows, bodies=bodies, seconds=seconds, physics_steps=bare.steps,
     )  # fmt: skip
 
 

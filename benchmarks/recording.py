@@ -17,19 +17,19 @@ Array = NDArray[np.float64]
 
 
 class Recording:
-    """The rollouts of a `Simulation` since its last reset, with the bodies and controls of each.
+    """What a `Simulation` asks of the engine since its last reset, with its bodies and controls.
 
-    Only the physics steps are repeated: no heating of springs, no judging, no observation.
+    Only the engine's work is repeated: no heating of springs, no judging, no observation.
     """
 
     def __init__(self, simulation: Simulation) -> None:
         self.models = list(simulation._models)
-        self.rollouts: list[tuple[int, Array, NDArray[np.intp]]] = []
+        self.calls: list[tuple[str, dict[str, Any]]] = []
 
     @property
     def steps(self) -> int:
         """Physics steps in all, over rows."""
-        return sum(nstep * len(ids) for nstep, _, ids in self.rollouts)
+        return sum(call["nstep"] * len(call["ids"]) for name, call in self.calls if name == "rollout")
 
     def batch(self, threads: int) -> Batch:
         """A fresh engine with the same bodies, at the start."""
@@ -38,24 +38,10 @@ class Recording:
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         return batch
 
-    def repeat(self, batch: Batch) -> None:
-        """The same rollouts, call by call."""
-        for nstep, control, ids in self.rollouts:
-            batch.rollout(nstep=nstep, control=control, record=(), ids=ids)
-
-    def joined(self) -> Recording:
-        """The same steps in as few calls as can be: one for every stretch with the same rows."""
-        other = object.__new__(Recording)
-        other.models, other.rollouts = self.models, []
-        stretch: list[tuple[int, Array, NDArray[np.intp]]] = []
-        for rollout in [*self.rollouts, None]:
-            if stretch and (rollout is None or not np.array_equal(stretch[0][2], rollout[2])):
-                control = np.concatenate([c for _, c, _ in stretch], axis=1)
-                other.rollouts.append((control.shape[1], control, stretch[0][2]))
-                stretch = []
-            if rollout is not None:
-                stretch.append(rollout)
-        return other
+    def repeat(self, batch: Batch, first: int = 0, last: int | None = None) -> None:
+        """The calls from number `first` to before `last`, to an engine that has made those before."""
+        for name, call in self.calls[first:last]:
+            getattr(batch, name)(**call)
 
 
 @contextmanager
@@ -69,8 +55,13 @@ def recorded(simulation: Simulation) -> Iterator[Recording]:
             return getattr(batch, name)
 
         def rollout(self, *, nstep: int, control: Array, record: Any, ids: Any) -> Any:
-            recording.rollouts.append((nstep, control.copy(), ids.copy()))
+            call = {"nstep": nstep, "control": control.copy(), "record": (), "ids": ids.copy()}
+            recording.calls.append(("rollout", call))
             return batch.rollout(nstep=nstep, control=control, record=record, ids=ids)
+
+        def reset(self, ids: Any, *, stage: int) -> None:
+            recording.calls.append(("reset", {"ids": ids.copy(), "stage": stage}))
+            batch.reset(ids, stage=stage)
 
     simulation._batch = Listener()
     try:

@@ -1,5 +1,3 @@
-import itertools
-
 import numpy as np
 import pytest
 
@@ -25,16 +23,20 @@ def test_the_limit_makes_the_very_steps_that_we_made(recording):
     calls, end, steps = recording
     assert calls.steps == steps
     assert steps < 3 * 400  # somebody was stopped
-    for version in (calls, calls.joined()):
-        batch = version.batch(threads=1)
-        version.repeat(batch)
-        np.testing.assert_array_equal(batch.qpos, end)
+    batch = calls.batch(threads=1)
+    calls.repeat(batch, 0, 7)
+    calls.repeat(batch, 7)
+    np.testing.assert_array_equal(batch.qpos, end)
 
 
-def test_joining_makes_one_call_of_each_stretch(recording):
-    calls, _, steps = recording
-    joined = calls.joined()
-    assert joined.steps == steps
-    assert len(joined.rollouts) < len(calls.rollouts)
-    rows = [ids.tolist() for _, _, ids in joined.rollouts]
-    assert all(a != b for a, b in itertools.pairwise(rows))
+def test_resets_are_repeated_too():
+    crawl = Crawl(2, Physics(), 1)
+    crawl.reset([Morphology()] * 2)
+    power = np.random.default_rng(0).integers(0, 2, (2, 50, 12)).astype(float)
+    with recorded(crawl.simulation) as calls:
+        crawl.run(power)
+        crawl.reset([Morphology()], np.array([1]))
+        crawl.run(power)
+    batch = calls.batch(threads=1)
+    calls.repeat(batch)
+    np.testing.assert_array_equal(batch.qpos, [crawl.simulation.qpos(row) for row in range(2)])
