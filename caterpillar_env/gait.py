@@ -94,6 +94,22 @@ class GaitTimings:
         """Timings of the springs, when these are those of the pairs."""
         return GaitTimings(self.period_s, mirror(self.on_s), mirror(self.off_s))
 
+    def of_springs(self, num_springs: int) -> GaitTimings:
+        """Timings of every spring, from those of the springs or of the mirrored pairs.
+
+        Raises:
+            TimingError: neither as many times as springs nor as pairs.
+        """
+        given = self.on_s.shape[-1] if self.on_s.ndim else 0
+        if given == num_springs:
+            return self
+        if given * SPRINGS_PER_GAP != num_springs * PAIRS_PER_GAP:
+            raise TimingError(
+                f"a gait has times of {num_springs} springs or {num_springs // 2} mirrored pairs; "
+                f"got {given}"
+            )
+        return self.mirrored()
+
     def power(self, step_s: float) -> Array:
         """Share of each step in which the power is on, over one period.
 

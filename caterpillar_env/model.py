@@ -8,6 +8,7 @@ hinge with a viscoelastic moment (Saunders 2009, section III and fig. 7).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal, TypeVar
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from caterpillar_env.errors import PhysicsError
 from caterpillar_env.gait import SPRINGS_PER_GAP, spring_names, whole
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.morphology import Body, Morphology, segments_of
 from caterpillar_env.sma import SmaSpring
 
 T = TypeVar("T")
@@ -173,7 +174,7 @@ def joint_names(num_segments: int) -> list[str]:
 
 
 def build_model(
-    morphology: Morphology,
+    body: Body,
     physics: Physics,
     strengths: NDArray[np.float64],
     *,
@@ -182,7 +183,8 @@ def build_model(
     """Compile one robot on flat ground, its feet on the floor, straight along x, heading forwards.
 
     Args:
-        morphology: the body.
+        body: one morphology, or one a segment. Unlike segments all stand on their feet when straight:
+            their axes are then at different heights, and a neck lies halfway between its neighbours'.
         physics: material, numerics and number of segments.
         strengths: factor on each spring's force, shape (num_springs,).
         scenery: whether it is to be drawn; light, sky and pattern of the ground make up a quarter of the
@@ -192,7 +194,7 @@ def build_model(
         A model whose sizes depend on `physics.num_segments` alone. Bodies are `element0` (head) to
         `element{2N-1}`; tendons and actuators carry `gait.spring_names`; control is xi in [0, 1].
     """
-    m, p = morphology, physics
+    p, segments = physics, segments_of(body, physics.num_segments)
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     _set_options(spec, p)
@@ -204,24 +206,31 @@ def build_model(
     if scenery:
         _add_scenery(spec, ground)
 
-    half_length = m.segment_length_m / ELEMENTS_PER_SEGMENT
     parent = spec.worldbody
     for index in range(p.num_segments * ELEMENTS_PER_SEGMENT):
-        # The centre of mass stands 2R above the ground (Saunders 2009, eq. 3 with eq. 4).
-        position = [0, 0, 2 * m.segment_radius_m] if index == 0 else [-half_length, 0, 0]
+        segment, plain = divmod(index, ELEMENTS_PER_SEGMENT)
+        m = segments[segment]
+        if index == 0:
+            # The centre of mass stands 2R above the ground (Saunders 2009, eq. 3 with eq. 4).
+            position = [0.0, 0.0, 2 * m.segment_radius_m]
+        elif plain:
+            position = [-m.segment_length_m / 2, 0.0, 0.0]
+        else:
+            position = _neck_offset(segments[segment - 1], m)
         element = parent.add_body(name=f"element{index}", pos=position)
         if index == 0:
             element.add_freejoint(name="root")
-        elif index % ELEMENTS_PER_SEGMENT:
-            _add_intra_segment_joints(element, index // ELEMENTS_PER_SEGMENT, m, p)
+        elif plain:
+            _add_intra_segment_joints(element, segment, segments, p)
         else:
-            _add_neck(element, index // ELEMENTS_PER_SEGMENT, m, p)
+            _add_neck(element, segment, segments, p)
         _add_shell(element, index, m)
-        if index % ELEMENTS_PER_SEGMENT == 0:
-            _add_legs_and_anchors(element, index // ELEMENTS_PER_SEGMENT, m, p)
+        if not plain:
+            _add_legs_and_anchors(element, segment, m)
         parent = element
     _add_springs(spec, p, strengths)
-    body_length = p.num_segments * m.segment_length_m
+    half_length = segments[0].segment_length_m / ELEMENTS_PER_SEGMENT
+    body_length = sum(m.segment_length_m for m in segments)
     # Beside the middle of the body, from far enough to have all of it in view.
     spec.body("element0").add_camera(
         name="track", mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM,
@@ -317,14 +326,36 @@ def _add_shell(body: mujoco.MjsBody, index: int, m: Morphology) -> None:
     )  # fmt: skip
 
 
-def _add_intra_segment_joints(body: mujoco.MjsBody, segment: int, m: Morphology, p: Physics) -> None:
+def _neck_offset(ahead: Morphology, behind: Morphology) -> list[float]:
+    """From the last element of a segment to the first of the next, in a straight body on its feet."""
+    length = (ahead.segment_length_m + behind.segment_length_m) / 4
+    return [-length, 0.0, 2 * behind.segment_radius_m - 2 * ahead.segment_radius_m]
+
+
+def _spring_span(ahead: Morphology, behind: Morphology) -> float:
+    """Length of a spring between two segments of a straight body, m: L + 2x if they are alike."""
+    along, _, up = _neck_offset(ahead, behind)
+    spaced = ahead.segment_length_m / 2 - along
+    return math.hypot(
+        spaced + (ahead.attachment_x_m + behind.attachment_x_m),
+        up + behind.attachment_y_m - ahead.attachment_y_m,
+        behind.attachment_z_m - ahead.attachment_z_m,
+    )
+
+
+def _add_intra_segment_joints(
+    body: mujoco.MjsBody, segment: int, segments: Sequence[Morphology], p: Physics
+) -> None:
+    m = segments[segment]
     middle = [m.segment_length_m / 4, 0, 0]
     travel = p.axial_range * m.segment_length_m
     # The body is moulded so that, cold, the springs' pre-tension just brings it to length L.
-    span = m.segment_length_m + 2 * m.attachment_x_m
-    pretension = p.spring.martensite_stiffness_n_m * (span - p.spring.martensite_rest_length_m)
-    springs = SPRINGS_PER_GAP if segment < p.num_segments - 1 else 0
-    stretch = springs * min(max(pretension, 0.0), p.spring.force_limit_n) / p.axial_stiffness_n_m
+    stretch = 0.0
+    if segment < p.num_segments - 1:
+        span = _spring_span(m, segments[segment + 1])
+        pretension = p.spring.martensite_stiffness_n_m * (span - p.spring.martensite_rest_length_m)
+        pull = SPRINGS_PER_GAP * min(max(pretension, 0.0), p.spring.force_limit_n)
+        stretch = pull / p.axial_stiffness_n_m
     body.add_joint(
         name=f"axial{segment}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[-1, 0, 0], pos=middle,
         stiffness=[p.axial_stiffness_n_m, 0, 0], damping=[p.axial_damping_n_s_m, 0, 0],
@@ -340,16 +371,19 @@ def _add_intra_segment_joints(body: mujoco.MjsBody, segment: int, m: Morphology,
     )  # fmt: skip
 
 
-def _add_neck(body: mujoco.MjsBody, segment: int, m: Morphology, p: Physics) -> None:
+def _add_neck(body: mujoco.MjsBody, segment: int, segments: Sequence[Morphology], p: Physics) -> None:
+    ahead, behind = segments[segment - 1], segments[segment]
+    up = _neck_offset(ahead, behind)[2]
+    limit = (ahead.joint_limit_rad + behind.joint_limit_rad) / 2
     body.add_joint(
         name=f"neck{segment - 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0],
-        pos=[m.segment_length_m / 4, 0, 0],
+        pos=[behind.segment_length_m / 4, 0, -up / 2],
         stiffness=[p.neck_stiffness_n_m_rad, 0, 0], damping=[p.neck_damping_n_m_s_rad, 0, 0],
-        range=[-m.joint_limit_rad, m.joint_limit_rad],
+        range=[-limit, limit],
     )  # fmt: skip
 
 
-def _add_legs_and_anchors(body: mujoco.MjsBody, segment: int, m: Morphology, p: Physics) -> None:
+def _add_legs_and_anchors(body: mujoco.MjsBody, segment: int, m: Morphology) -> None:
     for side, sign in (("left", 1), ("right", -1)):
         lateral = sign * m.leg_separation_m / 2
         foot = [0, lateral, FOOT_RADIUS_M - 2 * m.segment_radius_m]

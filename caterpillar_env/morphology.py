@@ -126,3 +126,23 @@ class Morphology:
     def to_dict(self) -> dict[str, float]:
         """The eight values by name, SI units: plain JSON."""
         return asdict(self)
+
+
+#: A robot's body: one morphology for all segments (the paper's), or one each, from head to tail.
+Body = Morphology | tuple[Morphology, ...]
+
+
+def segments_of(body: Body, num_segments: int) -> tuple[Morphology, ...]:
+    """The morphology of each segment, from head to tail.
+
+    Raises:
+        MorphologyError: neither one morphology nor one a segment.
+    """
+    if isinstance(body, Morphology):
+        return (body,) * num_segments
+    if len(body) != num_segments:
+        raise MorphologyError(
+            f"a body of {num_segments} segments is one morphology for all of them, or a tuple of "
+            f"{num_segments}; got {len(body)}"
+        )
+    return tuple(body)

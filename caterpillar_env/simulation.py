@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from caterpillar_env.errors import SimulationError
 from caterpillar_env.gait import whole
 from caterpillar_env.model import ELEMENTS_PER_SEGMENT, SMA_STEP_S, Physics, build_model
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.morphology import Body, Morphology
 from caterpillar_env.sma import SmaState, advance
 
 Array = NDArray[np.float64]
@@ -96,7 +96,7 @@ class Simulation:
         )
         nominal = self._build(Morphology())
         self._models = [nominal] * num_rows
-        self._morphologies = [Morphology()] * num_rows
+        self._bodies: list[Body] = [Morphology()] * num_rows
         self._batch = Batch(nominal, num_rows, threads)
         self._batch.set_models(self._models)
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
@@ -113,13 +113,13 @@ class Simulation:
         self._ready = np.zeros(num_rows, dtype=bool)
         self.energy_j = np.zeros(num_rows)  # electrical, since reset
 
-    def morphology(self, row: int) -> Morphology:
+    def body(self, row: int) -> Body:
         """The body of a row."""
-        return self._morphologies[row]
+        return self._bodies[row]
 
     def reset(
         self,
-        morphologies: Sequence[Morphology],
+        bodies: Sequence[Body],
         rows: Rows | None = None,
         *,
         heading_rad: float = 0.0,
@@ -128,22 +128,22 @@ class Simulation:
         """Put robots back to the start: straight, at rest, springs cold, head towards `heading_rad`.
 
         Args:
-            morphologies: one body for each row that is reset.
+            bodies: one for each row that is reset.
             rows: which rows; all by default.
             heading_rad: starting heading, counter-clockwise from world x.
             offset: added to the internal joints' positions, m or rad, shape (R, J).
 
         Raises:
-            SimulationError: not one morphology a row.
+            SimulationError: not one body a row.
         """
         index = self._rows(rows)
-        if len(morphologies) != len(index):
-            raise SimulationError(f"{len(index)} rows need as many bodies; got {len(morphologies)}")
+        if len(bodies) != len(index):
+            raise SimulationError(f"{len(index)} rows need as many bodies; got {len(bodies)}")
         changed = False
-        for row, morphology in zip(index.tolist(), morphologies, strict=True):
-            if self._morphologies[row] != morphology:
-                self._models[row] = self._build(morphology)
-                self._morphologies[row] = morphology
+        for row, body in zip(index.tolist(), bodies, strict=True):
+            if self._bodies[row] != body:
+                self._models[row] = self._build(body)
+                self._bodies[row] = body
                 self._radius[row] = self._models[row].geom_size[self._touching, 0]
                 changed = True
         if changed:
@@ -311,7 +311,7 @@ class Simulation:
 
     def drawable(self, row: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """A row to render: a model with scenery, and data in its pose with all derived fields."""
-        model = build_model(self._morphologies[row], self.physics, self.physics.strengths())
+        model = build_model(self._bodies[row], self.physics, self.physics.strengths())
         data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:] = self._qpos[row], self._qvel[row]
         mujoco.mj_forward(model, data)

@@ -20,6 +20,7 @@ from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.model import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.task import EPISODE_S
 from evolution.fitness import Outcomes, evaluate
+from evolution.genome import GenomeKind
 
 Array = NDArray[np.float64]
 CHUNK = 50  #: genomes that are evaluated, and recorded, together
@@ -35,6 +36,7 @@ class Task:
 
     physics: Physics
     gait_period_s: float = GAIT_PERIOD_S
+    genome: GenomeKind = "shared"
 
     def evaluate(
         self, genomes: Array, *, threads: int = 0, on_progress: Callable[[float], None] | None = None
@@ -54,7 +56,9 @@ class Task:
             if on_progress is not None:
                 on_progress(intervals * CONTROL_INTERVAL_S / EPISODE_S)
 
-        return evaluate(genomes, self.physics, self.gait_period_s, threads=threads, on_interval=tick)
+        return evaluate(
+            genomes, self.physics, self.gait_period_s, self.genome, threads=threads, on_interval=tick
+        )
 
 
 class Evaluator(Protocol):

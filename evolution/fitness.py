@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from caterpillar_env.gait import GaitTimings, whole
 from caterpillar_env.model import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.morphology import Body
 from caterpillar_env.simulation import Trace
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure
-from evolution.genome import decode
+from evolution.genome import GenomeKind, decode
 
 Array = NDArray[np.float64]
 _CHUNK_STEPS = 10 * STEPS_PER_INTERVAL
@@ -33,21 +33,24 @@ class Outcomes(NamedTuple):
         return np.where(ok, np.maximum(self.distance_m, 0.0), failed_fitness)
 
 
-def evaluate(genomes: Array, physics: Physics, period_s: float, **kwargs: Any) -> Outcomes:
+def evaluate(
+    genomes: Array, physics: Physics, period_s: float, kind: GenomeKind = "shared", **kwargs: Any
+) -> Outcomes:
     """Simulate P genomes side by side.
 
     Args:
         genomes: in [0, 1], shape (P, n).
         physics: material, numerics, number of segments.
         period_s: gait period, a whole number of control intervals.
+        kind: of the genome.
         **kwargs: as for `simulate`.
     """
-    morphologies, timings = decode(genomes, physics.num_segments, period_s)
-    return simulate(morphologies, timings, physics, **kwargs)
+    bodies, timings = decode(genomes, physics.num_segments, period_s, kind)
+    return simulate(bodies, timings, physics, **kwargs)
 
 
 def simulate(
-    morphologies: Sequence[Morphology],
+    bodies: Sequence[Body],
     timings: GaitTimings,
     physics: Physics,
     *,
@@ -59,8 +62,8 @@ def simulate(
     """Let P robots crawl side by side, each until it fails.
 
     Args:
-        morphologies: P bodies.
-        timings: of their mirrored pairs, arrays of shape (P, pairs).
+        bodies: P of them.
+        timings: of their springs or mirrored pairs, arrays of shape (P, springs) or (P, pairs).
         physics: material, numerics, number of segments.
         threads: 0 means all cores; results do not depend on it.
         duration_s: how long each crawls.
@@ -69,9 +72,9 @@ def simulate(
     """
     whole(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
     steps = whole(duration_s, CONTROL_INTERVAL_S, "the duration") * STEPS_PER_INTERVAL
-    power = timings.mirrored().power(SMA_STEP_S)
-    crawl = Crawl(len(morphologies), physics, threads)
-    crawl.reset(morphologies)
+    power = timings.of_springs(physics.num_springs).power(SMA_STEP_S)
+    crawl = Crawl(len(bodies), physics, threads)
+    crawl.reset(bodies)
     # Some intervals at a time, so that no array of the whole 30 s is made.
     first = 0
     while first < steps:

@@ -1,21 +1,26 @@
-"""The genome: 8 genes of morphology and, for each mirrored pair, the times of power on and off.
+"""The genome: genes of morphology, then times of power on and off.
 
-A genome is a point of [0, 1]^n; 0 and 1 are a gene's bounds in SI units. With four segments n = 20
-(Saunders 2009, section III).
+A genome is a point of [0, 1]^n; 0 and 1 are a gene's bounds in SI units. Kinds (n for four segments):
+
+- `shared`, n = 20: 8 genes of morphology that all segments share, times of the mirrored pairs (Saunders
+  2009, section III).
+- `full`, n = 32: every spring has times of its own.
+- `per-segment`, n = 44: every segment has 8 genes of morphology of its own, times of the mirrored pairs.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.gait import GaitTimings, pair_names
-from caterpillar_env.morphology import PARAMETERS, Morphology
+from caterpillar_env.gait import GaitTimings, pair_names, spring_names
+from caterpillar_env.morphology import PARAMETERS, Body, Morphology
 
 Array = NDArray[np.float64]
+GenomeKind = Literal["shared", "full", "per-segment"]
 
 
 class GenomeError(CaterpillarError):
@@ -30,16 +35,25 @@ class Gene(NamedTuple):
     unit: str
     lower: float
     upper: float
+    parameter: str  #: its name without the segment: what the preprocessor has a rule for
 
 
-def genes(num_segments: int, period_s: float) -> tuple[Gene, ...]:
-    """The genes in their order: morphology, then on and off time of each pair from head to tail."""
-    control = [
-        Gene(f"{pair}_{edge}_s", f"t_{edge}", "s", 0.0, period_s)
-        for pair in pair_names(num_segments)
-        for edge in ("on", "off")
+def genes(num_segments: int, period_s: float, kind: GenomeKind = "shared") -> tuple[Gene, ...]:
+    """The genes in their order: morphology, then times of each pair or spring; head to tail."""
+    segments = [f"segment{i + 1}_" for i in range(num_segments)] if kind == "per-segment" else [""]
+    body = [
+        Gene(segment + p.name, p.symbol, p.unit, p.lower, p.upper, p.name)
+        for segment in segments
+        for p in PARAMETERS
     ]
-    return tuple(Gene(p.name, p.symbol, p.unit, p.lower, p.upper) for p in PARAMETERS) + tuple(control)
+    timed = spring_names(num_segments) if kind == "full" else pair_names(num_segments)
+    control = [
+        Gene(name, f"t_{edge}", "s", 0.0, period_s, name)
+        for one in timed
+        for edge in ("on", "off")
+        for name in (f"{one}_{edge}_s",)
+    ]
+    return (*body, *control)
 
 
 def check(genomes: Array, num_genes: int) -> Array:
@@ -60,18 +74,24 @@ def check(genomes: Array, num_genes: int) -> Array:
     return array
 
 
-def decode(genomes: Array, num_segments: int, period_s: float) -> tuple[list[Morphology], GaitTimings]:
+def decode(
+    genomes: Array, num_segments: int, period_s: float, kind: GenomeKind = "shared"
+) -> tuple[list[Body], GaitTimings]:
     """Bodies and gaits of P genomes.
 
     Returns:
-        P morphologies, and timings of the mirrored pairs, arrays of shape (P, pairs).
+        P bodies, and timings of the mirrored pairs, shape (P, pairs); of the springs if `full`.
 
     Raises:
         GenomeError: see `check`.
     """
-    array = check(genomes, len(genes(num_segments, period_s)))
-    body = len(PARAMETERS)
+    array = check(genomes, len(genes(num_segments, period_s, kind)))
+    size = len(PARAMETERS)
+    count = num_segments if kind == "per-segment" else 1
+    body = size * count
     # Through the environment's action, so that an environment can repeat the gait bit for bit.
     action = (2.0 * array[:, body:] - 1.0).astype(np.float32)
     timings = GaitTimings.from_action(action, period_s)
-    return [Morphology.from_unit(row) for row in array[:, :body]], timings
+    segments = array[:, :body].reshape(len(array), count, size)
+    bodies = [tuple(Morphology.from_unit(segment) for segment in row) for row in segments]
+    return [body if kind == "per-segment" else body[0] for body in bodies], timings

@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.gait import GaitTimings, pair_names
+from caterpillar_env.gait import GaitTimings, pair_names, spring_names
 from caterpillar_env.model import Physics
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.morphology import Body, Morphology, segments_of
 from caterpillar_env.task import Failure
 from evolution.fitness import Outcomes, simulate
-from evolution.genome import decode
+from evolution.genome import GenomeKind, decode
 
 FORMAT = "caterpillar-individual-1"
+_TIMED = {"pairs": pair_names, "springs": spring_names}
 
 
 class IndividualError(CaterpillarError):
@@ -30,20 +31,25 @@ class IndividualError(CaterpillarError):
 class Individual:
     """A body with its gait, in the physics that it was evaluated in."""
 
-    morphology: Morphology
-    timings: GaitTimings  #: of the mirrored pairs, arrays of shape (pairs,)
+    morphology: Body
+    timings: GaitTimings  #: of the mirrored pairs or the springs, arrays of shape (pairs,) or (springs,)
     physics: Physics
     fitness_m: float | None = None  #: as recorded
     generation: int | None = None
 
     @classmethod
     def of_genome(
-        cls, genome: NDArray[np.float64], physics: Physics, period_s: float, **record: Any
+        cls,
+        genome: NDArray[np.float64],
+        physics: Physics,
+        period_s: float,
+        kind: GenomeKind = "shared",
+        **record: Any,
     ) -> Individual:
         """The individual of a genome (n,) in [0, 1]."""
-        morphologies, timings = decode(genome[None], physics.num_segments, period_s)
+        bodies, timings = decode(genome[None], physics.num_segments, period_s, kind)
         gait = GaitTimings(period_s, timings.on_s[0], timings.off_s[0])
-        return cls(morphologies[0], gait, physics, **record)
+        return cls(bodies[0], gait, physics, **record)
 
     def simulate(self, timestep_s: float | None = None, **kwargs: Any) -> Outcomes:
         """Let it crawl once more, at its own timestep or another; keywords as for `fitness.simulate`."""
@@ -51,22 +57,29 @@ class Individual:
         gait = GaitTimings(self.timings.period_s, self.timings.on_s[None], self.timings.off_s[None])
         return simulate([self.morphology], gait, physics, **kwargs)
 
+    @property
+    def _kind(self) -> str:
+        return "springs" if len(self.timings.on_s) == self.physics.num_springs else "pairs"
+
+    @property
+    def timed(self) -> list[str]:
+        """Names of what `timings` are of: mirrored pairs or springs."""
+        return _TIMED[self._kind](self.physics.num_segments)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON; every number carries its unit in its name."""
-        pairs = zip(
-            pair_names(self.physics.num_segments),
-            self.timings.on_s.tolist(),
-            self.timings.off_s.tolist(),
-            strict=True,
-        )
+        body, timings = self.morphology, self.timings
+        times = zip(self.timed, timings.on_s.tolist(), timings.off_s.tolist(), strict=True)
         return {
             "format": FORMAT,
             "fitness_m": self.fitness_m,
             "generation": self.generation,
-            "morphology": self.morphology.to_dict(),
+            "morphology": (
+                body.to_dict() if isinstance(body, Morphology) else [m.to_dict() for m in body]
+            ),
             "gait": {
-                "period_s": self.timings.period_s,
-                "pairs": {name: {"on_s": on, "off_s": off} for name, on, off in pairs},
+                "period_s": timings.period_s,
+                self._kind: {name: {"on_s": on, "off_s": off} for name, on, off in times},
             },
             "physics": self.physics.to_dict(),
         }
@@ -82,17 +95,22 @@ class Individual:
             raise IndividualError(f'expected JSON with "format": "{FORMAT}" (a best.json)')
         try:
             physics = Physics.of(data["physics"])
-            names = pair_names(physics.num_segments)
-            pairs = data["gait"]["pairs"]
-            if set(pairs) != set(names):
-                raise IndividualError(f"gait.pairs must be {', '.join(names)}; got {', '.join(pairs)}")
+            kind = "springs" if "springs" in data["gait"] else "pairs"
+            names, given = _TIMED[kind](physics.num_segments), data["gait"][kind]
+            if set(given) != set(names):
+                raise IndividualError(f"gait.{kind} must be {', '.join(names)}; got {', '.join(given)}")
+            body = data["morphology"]
+            if isinstance(body, list) and body and isinstance(body[0], dict):
+                body = segments_of(tuple(Morphology.of(m) for m in body), physics.num_segments)
+            else:
+                body = Morphology.of(body)
             timings = GaitTimings(
                 data["gait"]["period_s"],
-                np.array([float(pairs[n]["on_s"]) for n in names]),
-                np.array([float(pairs[n]["off_s"]) for n in names]),
+                np.array([float(given[n]["on_s"]) for n in names]),
+                np.array([float(given[n]["off_s"]) for n in names]),
             )
             return cls(
-                Morphology.of(data["morphology"]),
+                body,
                 timings,
                 physics,
                 data.get("fitness_m"),

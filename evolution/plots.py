@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from caterpillar_env.gait import pair_names
 from caterpillar_env.model import SMA_STEP_S
 from caterpillar_env.sma import SmaState, advance
 from evolution.individual import Individual
@@ -44,14 +43,14 @@ def convergence(history: Sequence[Generation], path: Path, title: str) -> None:
 
 
 def gait(individual: Individual, path: Path) -> None:
-    """Power, temperature and austenite fraction of each pair over one period, once they repeat."""
+    """Power and austenite fraction of each pair or spring over one period, once they repeat."""
     spring, timings = individual.physics.spring, individual.timings
-    power = timings.power(SMA_STEP_S)  # (steps, pairs)
+    power = timings.power(SMA_STEP_S)  # (steps, pairs or springs)
     state = SmaState.cold(spring, power.shape[1:])
     for _ in range(10):
         before, state = state, advance(spring, state, power, SMA_STEP_S).state
     step = advance(spring, before, power, SMA_STEP_S)
-    names = pair_names(individual.physics.num_segments)
+    names = individual.timed
     seconds = np.arange(1, len(power) + 1) * SMA_STEP_S
     figure = Figure(figsize=(8, 1.1 * len(names) + 1), layout="constrained")
     axes = np.atleast_1d(figure.subplots(len(names), 1, sharex=True, sharey=True))
@@ -63,7 +62,8 @@ def gait(individual: Individual, path: Path) -> None:
         axis.set_ylabel(name.replace("_", "\n"), rotation=0, ha="right", va="center", fontsize="small")
         axis.set(ylim=(-0.05, 1.05), xlim=(0, timings.period_s), yticks=[0, 1])
     axes[0].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, fontsize="small", frameon=False)
-    title = "One gait period (left and right spring of a pair alike)"
+    alike = len(names) < individual.physics.num_springs
+    title = "One gait period" + (" (left and right spring of a pair alike)" if alike else "")
     axes[0].set_title(title, loc="left", fontsize="medium")
     axes[-1].set_xlabel("time in the period (s)")
     figure.savefig(path, dpi=120)

@@ -20,7 +20,7 @@ from caterpillar_env.gait import whole
 from caterpillar_env.model import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.morphology import Morphology
 from evolution.distributions import ClampedGaussian, Distribution, TruncatedGaussian, Uniform
-from evolution.genome import Gene, genes
+from evolution.genome import Gene, GenomeKind, genes
 
 Array = NDArray[np.float64]
 
@@ -181,6 +181,8 @@ def preprocess(
 ) -> list[GenePrior]:
     """One distribution for each gene of `table` (Saunders 2009, section II and Table I).
 
+    Genes that are one parameter of several segments get one and the same: each K_i is of one segment.
+
     Args:
         parameters: the K_i.
         table: all genes of the genome.
@@ -193,7 +195,7 @@ def preprocess(
         raise CaterpillarError(f"floor_ratio = {floor_ratio!r} must be a number greater than 1")
     if len({k.name for k in parameters}) < len(parameters):
         raise CaterpillarError("two design parameters have one name; give each its own")
-    bounds = {gene.name: (gene.lower, gene.upper) for gene in table}
+    bounds = {gene.parameter: (gene.lower, gene.upper) for gene in table}
     unknown = set(itertools.chain(*(k.gene_names for k in parameters))) - set(bounds)
     if unknown:
         raise CaterpillarError(f"no such genes: {', '.join(sorted(unknown))}")
@@ -202,7 +204,7 @@ def preprocess(
 
 
 def _prior(gene: Gene, peaks: Mapping[str, Mapping[str, float]], floor_ratio: float) -> GenePrior:
-    said = {name: places[gene.name] for name, places in peaks.items() if gene.name in places}
+    said = {name: places[gene.parameter] for name, places in peaks.items() if gene.parameter in places}
     signs = tuple((name, 1 if place > 0.5 else -1) for name, place in said.items())
     if not said:
         return GenePrior(gene, Uniform(), signs, "in no design parameter")
@@ -221,6 +223,7 @@ def paper_priors(
     clipping: Clipping = "truncated",
     *,
     mirrored: bool = False,
+    kind: GenomeKind = "shared",
 ) -> list[GenePrior]:
     """The preprocessor's answer for this robot: Table I.
 
@@ -230,9 +233,10 @@ def paper_priors(
         floor_ratio: greatest over least density of a Gaussian, before it is clamped.
         clipping: what "clipped Gaussian" is to mean.
         mirrored: whether every peak is put at the opposite end: a prior that misleads on purpose.
+        kind: of the genome.
     """
     whole(period_s, CONTROL_INTERVAL_S, "gait_period_s")
-    table = genes(physics.num_segments, period_s)
+    table = genes(physics.num_segments, period_s, kind)
     priors = preprocess(design_parameters(physics), table, floor_ratio)
     return [replace(p, distribution=_varied(p.distribution, clipping, mirrored)) for p in priors]
 

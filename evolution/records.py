@@ -16,7 +16,7 @@ from rich.table import Table
 
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli
-from evolution.genome import decode, genes
+from evolution.genome import decode
 from evolution.individual import Individual
 from evolution.journal import FILE, Journal, JournalError, outcomes_of
 from evolution.run import RunConfig, read_configuration, scores
@@ -38,11 +38,14 @@ def table(folder: Path) -> polars.DataFrame:
     with Journal(folder) as journal:
         config, _ = read_configuration(journal)
         rows = list(journal.evaluations())
-    names = [g.name for g in genes(config.physics.num_segments, config.gait_period_s)]
+    names = [g.name for g in config.genes()]
     genomes = np.array([e.genome for e in rows]).reshape(-1, len(names))
-    bodies, timings = decode(genomes, config.physics.num_segments, config.gait_period_s)
-    times = np.stack([timings.on_s, timings.off_s], axis=-1).reshape(len(rows), len(names) - 8)
-    values = np.concatenate([np.array([b.to_array() for b in bodies]).reshape(-1, 8), times], axis=1)
+    bodies, timings = decode(genomes, config.physics.num_segments, config.gait_period_s, config.genome)
+    times = np.stack([timings.on_s, timings.off_s], axis=-1)
+    times = times.reshape(len(rows), 2 * timings.on_s.shape[1])
+    segments = [m.to_array() for b in bodies for m in (b if isinstance(b, tuple) else (b,))]
+    values = np.reshape(segments, (len(rows), len(names) - times.shape[1]))
+    values = np.concatenate([values, times], axis=1)
     outcomes = outcomes_of(rows)
     columns: dict[str, Any] = {
         "evaluation": np.array([e.number for e in rows], dtype=np.int64),

@@ -22,7 +22,7 @@ from caterpillar_env.task import Failure
 from evolution.distributions import Distribution, Uniform
 from evolution.evaluators import CHUNK, Evaluator, LocalEvaluator, Task
 from evolution.fitness import Outcomes
-from evolution.genome import check, genes
+from evolution.genome import Gene, GenomeKind, check, genes
 from evolution.individual import Individual
 from evolution.journal import Evaluation, Journal, fingerprint, outcomes_of
 from evolution.optimizers.base import Optimizer
@@ -52,6 +52,7 @@ class RunConfig:
     seed: int = 0  #: of the optimizer; the robot's own is mismatch_seed
     generations: int = 50  #: how often the optimizer asks
     optimizer: OptimizerName = "ga"
+    genome: GenomeKind = "shared"  #: full: times of every spring; per-segment: a body for every segment
     prior: Prior = "preprocessed"  #: what genes are drawn from; init- and mutation-only are the GA's
     floor_ratio: float = 3.0  #: greatest over least density of a preprocessed gene
     clipping: Clipping = "truncated"  #: what becomes of a Gaussian beyond the bounds of its gene
@@ -109,10 +110,14 @@ class RunConfig:
         """What each gene is drawn from, at first or by mutation."""
         rows = paper_priors(
             self.physics, self.gait_period_s, self.floor_ratio, self.clipping,
-            mirrored=self.prior == "mirrored",
+            mirrored=self.prior == "mirrored", kind=self.genome,
         )  # fmt: skip
         informed = self.prior in ("preprocessed", "mirrored", f"{use}-only")
         return [row.distribution if informed else Uniform() for row in rows]
+
+    def genes(self) -> tuple[Gene, ...]:
+        """What a genome says, in its order."""
+        return genes(self.physics.num_segments, self.gait_period_s, self.genome)
 
     def make_optimizer(self) -> Optimizer:
         """The optimizer at its beginning."""
@@ -131,12 +136,13 @@ class RunConfig:
             return ga.population + (self.generations - 1) * (ga.population - ga.hall_of_fame)
         if self.optimizer == "random":
             return ga.population * self.generations
-        default = 4 + int(3 * np.log(len(genes(self.physics.num_segments, self.gait_period_s))))
+        default = 4 + int(3 * np.log(len(self.genes())))
         return (self.cma.cma_population or default) * self.generations
 
 
 _CHOICES = {
     "optimizer": OptimizerName,
+    "genome": GenomeKind,
     "prior": Prior,
     "clipping": Clipping,
     "objective": Objective,
@@ -290,7 +296,7 @@ def _run(
     on_progress: Callable[[float], None] | None,
 ) -> RunResult:
     optimizer = optimizer or config.make_optimizer()
-    num_genes = len(genes(config.physics.num_segments, config.gait_period_s))
+    num_genes = len(config.genes())
     known = list(journal.evaluations())
     session = journal.begin()
     record = _Record(config, journal.path.parent)
@@ -353,7 +359,9 @@ def _evaluated(
         if on_progress is not None:
             on_progress((done + share * min(CHUNK, len(genomes) - done)) / len(genomes))
 
-    for outcomes in workers.map(Task(config.physics, config.gait_period_s), chunks, progress):
+    for outcomes in workers.map(
+        Task(config.physics, config.gait_period_s, config.genome), chunks, progress
+    ):
         yield outcomes
         done += len(outcomes.failure)
 
@@ -377,7 +385,7 @@ class _Record:
         if crawled[top] > self._top:
             self._top = float(crawled[top])
             self.best = Individual.of_genome(
-                genomes[top], config.physics, config.gait_period_s,
+                genomes[top], config.physics, config.gait_period_s, config.genome,
                 fitness_m=float(outcomes.distance_m[top]), generation=number,
             )  # fmt: skip
             self.best.save(self._folder / "best.json")

@@ -15,7 +15,7 @@ from scipy.stats import spearmanr
 
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.model import SMA_STEP_S, Physics
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.morphology import Body
 from caterpillar_env.task import EPISODE_S, Failure
 from evolution.fitness import Outcomes, simulate
 from evolution.validation.check import Check, at_least, at_most
@@ -90,8 +90,8 @@ def compare(*, quick: bool) -> Comparison:
 
 
 def _joined(
-    first: tuple[Sequence[Morphology], GaitTimings], second: tuple[Sequence[Morphology], GaitTimings]
-) -> tuple[list[Morphology], GaitTimings]:
+    first: tuple[Sequence[Body], GaitTimings], second: tuple[Sequence[Body], GaitTimings]
+) -> tuple[list[Body], GaitTimings]:
     (bodies, a), (more, b) = first, second
     on, off = np.concatenate([a.on_s, b.on_s]), np.concatenate([a.off_s, b.off_s])
     return [*bodies, *more], GaitTimings(a.period_s, on, off)

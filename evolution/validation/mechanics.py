@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from caterpillar_env.gait import spring_names
 from caterpillar_env.model import SMA_STEP_S, Physics, build_model, joint_names
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.morphology import Body, Morphology, segments_of
 from caterpillar_env.sma import spring_force
 from caterpillar_env.task import EPISODE_S, Crawl, Progress, Thresholds
 from evolution.fitness import simulate
@@ -159,7 +159,7 @@ def _com_velocity(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
 
 
 def crawl_for(
-    duration_s: float, bodies: Sequence[Morphology], power: Array, physics: Physics, *,
+    duration_s: float, bodies: Sequence[Body], power: Array, physics: Physics, *,
     heading_rad: float = 0.0, offset_m: float = 0.0, stop_on_failure: bool = True,
     thresholds: Thresholds | None = None,
 ) -> Crawl:  # fmt: skip
@@ -171,7 +171,8 @@ def crawl_for(
     crawl = Crawl(len(bodies), physics, thresholds=thresholds, stop_on_failure=stop_on_failure)
     axial = np.array([n.startswith("axial") for n in joint_names(physics.num_segments)])
     # A hinge is half-way between two elements, a quarter of a segment from either.
-    arms_m = np.array([body.segment_length_m / 4 for body in bodies])[:, None]
+    heads = [segments_of(body, physics.num_segments)[0] for body in bodies]
+    arms_m = np.array([head.segment_length_m / 4 for head in heads])[:, None]
     offset = np.where(axial, offset_m, offset_m / arms_m)
     crawl.reset(bodies, heading_rad=heading_rad, offset=offset)
     left = round(duration_s / SMA_STEP_S)
@@ -212,7 +213,7 @@ def symmetries(*, quick: bool) -> list[Check]:
 
 
 def _spread_mm(
-    duration_s: float, bodies: Sequence[Morphology], power: Array, physics: Physics, base: Progress
+    duration_s: float, bodies: Sequence[Body], power: Array, physics: Physics, base: Progress
 ) -> Array:
     """How far apart robots end, at most, when the start is changed by a micrometre, (R,)."""
     ends = []

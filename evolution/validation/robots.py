@@ -16,7 +16,7 @@ import numpy as np
 
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
 from caterpillar_env.model import Physics
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.morphology import Body
 from caterpillar_env.task import Failure
 from evolution.genome import genes
 from evolution.individual import Individual
@@ -38,7 +38,7 @@ def random_individuals(count: int, seed: int, physics: Physics) -> list[Individu
     return [Individual.of_genome(genome, physics, GAIT_PERIOD_S) for genome in drawn]
 
 
-def random_robots(count: int, seed: int, physics: Physics) -> tuple[list[Morphology], GaitTimings]:
+def random_robots(count: int, seed: int, physics: Physics) -> tuple[list[Body], GaitTimings]:
     """Bodies and gaits of uniformly random genomes."""
     return together(random_individuals(count, seed, physics))
 
@@ -48,7 +48,7 @@ def evolved_robots(count: int = TOP * len(RUNS)) -> list[Individual]:
     return [Individual.from_dict(data) for data in json.loads(FILE.read_text("utf-8"))[:count]]
 
 
-def together(robots: list[Individual]) -> tuple[list[Morphology], GaitTimings]:
+def together(robots: list[Individual]) -> tuple[list[Body], GaitTimings]:
     """Bodies and gaits of robots that share one gait period, as `fitness.simulate` takes them."""
     on = np.stack([r.timings.on_s for r in robots])
     off = np.stack([r.timings.off_s for r in robots])

@@ -118,7 +118,7 @@ def test_reset_row_repeats_its_run_and_others_go_on():
 def test_reset_exchanges_the_body():
     simulation = started([SMALL, SMALL])
     simulation.reset([LARGE], np.array([1]))
-    assert [simulation.morphology(row) for row in (0, 1)] == [SMALL, LARGE]
+    assert [simulation.body(row) for row in (0, 1)] == [SMALL, LARGE]
     assert simulation.state().com_m[:, 2].tolist() == pytest.approx([0.020, 0.024])
     simulation.advance(some_power(2, 40))
     fresh = started([SMALL, LARGE])

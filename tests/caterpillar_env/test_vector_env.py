@@ -40,7 +40,7 @@ def times(envs):
 def overturn(envs, row):
     """Put a robot on its back, so that it fails within the next step."""
     simulation = envs._episodes.crawl.simulation
-    simulation._qpos[row, 2:7] = [simulation.morphology(row).segment_radius_m, 0, 1, 0, 0]
+    simulation._qpos[row, 2:7] = [simulation.body(row).segment_radius_m, 0, 1, 0, 0]
 
 
 # Rows
@@ -119,7 +119,7 @@ def test_new_bodies_stay_through_resets():
     assert times(envs) == [0, 0, 0]
     assert envs.morphologies == BODIES
     envs.reset()
-    assert [envs._episodes.crawl.simulation.morphology(r) for r in range(ROWS)] == BODIES
+    assert [envs._episodes.crawl.simulation.body(r) for r in range(ROWS)] == BODIES
 
 
 def test_masked_reset_changes_the_bodies_of_its_rows_only():

@@ -133,3 +133,41 @@ def test_value_outside_the_unit_interval_is_refused_and_located(value):
     genomes[2, 11] = value
     with pytest.raises(GenomeError, match="gene 11 of genome 2"):
         check(genomes, 20)
+
+
+# Other kinds of genome
+
+
+def test_full_genome_times_every_spring():
+    table = genes(4, PERIOD_S, "full")
+    assert len(table) == 32
+    assert [g.name for g in table[8:12]] == [
+        "gap1_dorsal_left_on_s", "gap1_dorsal_left_off_s",
+        "gap1_dorsal_right_on_s", "gap1_dorsal_right_off_s",
+    ]  # fmt: skip
+    genome = np.zeros((1, 32))
+    genome[0, 10:12] = 0.5, 1.0
+    bodies, timings = decode(genome, 4, 4.0, "full")
+    assert isinstance(bodies[0], Morphology)
+    assert timings.on_s.tolist() == [[0.0, 2.0] + [0.0] * 10]
+    assert timings.off_s.tolist() == [[0.0, 4.0] + [0.0] * 10]
+
+
+@pytest.mark.parametrize(("num_segments", "expected"), [(2, 20), (4, 44), (6, 68)])
+def test_per_segment_genome_has_a_body_for_every_segment(num_segments, expected):
+    table = genes(num_segments, PERIOD_S, "per-segment")
+    assert len(table) == expected == len({g.name for g in table})
+    assert [g.name for g in table[8:10]] == ["segment2_leg_separation_m", "segment2_segment_length_m"]
+    unit = np.random.default_rng(0).random((2, expected))
+    bodies, timings = decode(unit, num_segments, PERIOD_S, "per-segment")
+    assert timings.on_s.shape == (2, 2 * (num_segments - 1))
+    for row, body in zip(unit, bodies, strict=True):
+        assert len(body) == num_segments
+        for number, segment in enumerate(body):
+            np.testing.assert_allclose(segment.to_unit(), row[8 * number : 8 * number + 8], atol=1e-12)
+
+
+@pytest.mark.parametrize(("kind", "size"), [("full", 20), ("per-segment", 32), ("shared", 44)])
+def test_genome_of_another_kind_is_refused(kind, size):
+    with pytest.raises(GenomeError, match=r"genomes must have shape \(P, "):
+        decode(np.zeros((1, size)), 4, PERIOD_S, kind)

@@ -75,6 +75,25 @@ def test_loaded_robot_crawls_as_its_genome_did(individual, tmp_path):
     assert again.energy_j[0] == ours.energy_j[0]
 
 
+@pytest.mark.parametrize(("kind", "size"), [("full", 16), ("per-segment", 20)])
+def test_robots_of_other_genomes_come_back_too(tmp_path, kind, size):
+    genome = np.random.default_rng(2).random(size)
+    Individual.of_genome(genome, SHORT, PERIOD_S, kind).save(tmp_path / "best.json")
+    again = Individual.load(tmp_path).simulate(threads=1)
+    ours = evaluate(genome[None], SHORT, PERIOD_S, kind, threads=1)
+    assert again.distance_m[0] == ours.distance_m[0] != 0.0
+
+
+def test_json_names_segments_and_springs():
+    whole = Individual.of_genome(np.full(16, 0.3), SHORT, PERIOD_S, "full").to_dict()
+    assert list(whole["gait"]["springs"])[:2] == ["gap1_dorsal_left", "gap1_dorsal_right"]
+    parts = Individual.of_genome(np.full(20, 0.3), SHORT, PERIOD_S, "per-segment").to_dict()
+    assert len(parts["morphology"]) == 2
+    del parts["morphology"][1]
+    with pytest.raises(CaterpillarError, match="one morphology for all of them, or a tuple of 2; got 1"):
+        Individual.from_dict(parts)
+
+
 def test_another_timestep_is_another_simulation_of_the_same_robot(individual):
     own = individual.simulate(threads=1, duration_s=2.0)
     same = individual.simulate(SHORT.timestep_s, threads=1, duration_s=2.0)

@@ -22,7 +22,7 @@ from evolution.preprocessor import (
 )
 
 BOUNDS = {p.name: (p.lower, p.upper) for p in PARAMETERS}
-A, B, C = (Gene(name, name, "m", 0.0, 1.0) for name in ("a", "b", "c"))
+A, B, C = (Gene(name, name, "m", 0.0, 1.0, name) for name in ("a", "b", "c"))
 
 
 def table_one(**kwargs):
@@ -171,6 +171,26 @@ def test_longer_robot_has_the_same_table_with_more_timings():
     assert six["gap5_ventral_off_s"].distribution == Uniform()
 
 
+def test_every_segment_of_its_own_has_the_same_rules():
+    shared = table_one()
+    rows = paper_priors(Physics(), 3.0, kind="per-segment")
+    assert len(rows) == 44
+    for row in rows[:32]:
+        segment, name = row.gene.name.split("_", 1)
+        assert segment in ("segment1", "segment2", "segment3", "segment4")
+        assert row.distribution == shared[name].distribution
+        assert row.signs == shared[name].signs
+
+
+def test_single_springs_are_as_free_as_pairs():
+    rows = {r.gene.name: r for r in paper_priors(Physics(), 3.0, kind="full")}
+    assert len(rows) == 32
+    for name, row in table_one().items():
+        if name in rows:
+            assert row.distribution == rows[name].distribution
+    assert rows["gap3_ventral_right_off_s"].distribution == Uniform()
+
+
 def test_without_spring_force_the_lift_wants_short_and_light_segments():
     # Only the weight's moment m g L / 2 is left, which a short segment keeps small.
     lift = design_parameters(Physics())[2]
@@ -222,7 +242,7 @@ def test_interior_optimum_peaks_at_the_nearest_of_ten_nodes(optimum, node):
 
 
 def test_grid_spans_the_genes_own_range():
-    gene = Gene("a", "a", "m", 10.0, 19.0)  # nodes at 10, 11, ... 19
+    gene = Gene("a", "a", "m", 10.0, 19.0, "a")  # nodes at 10, 11, ... 19
     rows = preprocess([k("K", ("a",), lambda a: -((a - 12.2) ** 2))], [gene])
     assert rows[0].to_dict()["mu"] == pytest.approx(12.0)
 

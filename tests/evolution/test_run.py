@@ -323,6 +323,7 @@ def test_configuration_survives_json():
         ({"seed": -1}, "seed = -1"),
         ({"optimizer": "hopes"}, "optimizer = 'hopes' must be one of ga, cma-es, random"),
         ({"optimizer": "cma-es", "prior": "init-only"}, "choose preprocessed, uniform or mirrored"),
+        ({"genome": "half"}, "genome = 'half' must be one of shared, full, per-segment"),
         ({"objective": "speed"}, "objective = 'speed'"),
         ({"clipping": "cut"}, "clipping = 'cut'"),
         ({"sampling": "grid"}, "sampling = 'grid'"),
@@ -357,6 +358,8 @@ KINDS = [
     {"optimizer": "random"},
     {"optimizer": "random", "sampling": "sobol"},
     {"optimizer": "ga", "objective": "distance-per-energy"},
+    {"optimizer": "ga", "genome": "full"},
+    {"optimizer": "cma-es", "genome": "per-segment"},
 ]
 
 
