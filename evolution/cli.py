@@ -24,7 +24,9 @@ _SUMMARIES = {
     "preprocess": "print and draw what the physics-based preprocessor says of each gene",
     "resume": "go on with a run that was stopped, or for more generations",
     "runs": "list the runs in a folder",
+    "report": "write the figures and the page of a study",
     "replay": "simulate a recorded robot once more and make a video",
+    "study": "run arms and seeds side by side, and compare them",
     "validate": "check the physics against closed forms, data sheets and finer timesteps",
 }
 

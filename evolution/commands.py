@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -18,13 +19,16 @@ from rich.table import Table
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
 from evolution import cli
-from evolution.distributions import TruncatedGaussian
+from evolution.distributions import Uniform
 from evolution.evaluators import Evaluator, LocalEvaluator, RayEvaluator
+from evolution.genome import GenomeKind
 from evolution.individual import Individual, label
 from evolution.journal import Journal
 from evolution.optimizers.ga import GaConfig
-from evolution.preprocessor import GenePrior, design_parameters, paper_priors
-from evolution.run import Generation, RunConfig, RunResult, evolve, read_configuration, resume
+from evolution.preprocessor import Clipping, GenePrior, design_parameters, paper_priors
+from evolution.run import Generation, RunConfig, RunResult, Told, evolve, read_configuration, resume
+from evolution.tracking import FOLDER as TENSORBOARD
+from evolution.tracking import TensorBoard
 
 PRESETS = {
     "paper": RunConfig(),
@@ -44,6 +48,8 @@ class WorkerArgs:
     """Threads of the local evaluator; 0 for all cores."""
     video: bool = True
     """Write best.mp4."""
+    track: Literal["nowhere", "tensorboard"] = "nowhere"
+    """tensorboard: log to the run's folder too; a run that does goes on doing so when resumed."""
 
     def __post_init__(self) -> None:
         if self.threads < 0:
@@ -54,6 +60,20 @@ class WorkerArgs:
         return (
             LocalEvaluator(self.threads) if self.evaluator == "local" else RayEvaluator(self.ray_address)
         )
+
+    @contextmanager
+    def following(self, reporter: _Reporter, folder: Path) -> Iterator[Told]:
+        """What a run tells its generations to."""
+        if self.track == "nowhere" and not (folder / TENSORBOARD).is_dir():
+            yield reporter.generation
+            return
+        with TensorBoard(folder) as board:
+
+            def told(generation: Generation) -> None:
+                reporter.generation(generation)
+                board.generation(generation)
+
+            yield told
 
 
 @dataclass(frozen=True)
@@ -87,10 +107,10 @@ def evolve_command(argv: Sequence[str]) -> int:
     config = args.config
     folder = args.out or _unused(Path("runs"), f"{config.optimizer}-{config.prior}-seed{config.seed}")
     console = _console()
-    with _Reporter(config, console) as reporter:
+    workers = args.workers
+    with _Reporter(config, console) as reporter, workers.following(reporter, folder) as told:
         result = evolve(
-            config, folder, evaluator=args.workers.make(),
-            on_generation=reporter.generation, on_progress=reporter.progress,
+            config, folder, evaluator=workers.make(), on_generation=told, on_progress=reporter.progress,
         )  # fmt: skip
     return _finish(result, folder, console, video=args.workers.video)
 
@@ -105,10 +125,11 @@ def resume_command(argv: Sequence[str]) -> int:
     with Journal(args.folder) as journal:
         config, _ = read_configuration(journal)
     config = replace(config, generations=args.generations or config.generations)
-    with _Reporter(config, console) as reporter:
+    workers = args.workers
+    with _Reporter(config, console) as reporter, workers.following(reporter, args.folder) as told:
         result = resume(
-            args.folder, generations=args.generations, evaluator=args.workers.make(),
-            on_generation=reporter.generation, on_progress=reporter.progress,
+            args.folder, generations=args.generations, evaluator=workers.make(),
+            on_generation=told, on_progress=reporter.progress,
             on_warning=lambda text: console.print(f"warning: {text}"),
         )  # fmt: skip
     return _finish(result, args.folder, console, video=args.workers.video)
@@ -178,7 +199,7 @@ class _Reporter:
         self._config, self._console = config, console
         self._bar: Progress | None = None
         self._task: TaskID | None = None
-        self._evaluated, self._generations, self._replayed = 0, 0, 0
+        self._done, self._step, self._replayed = 0.0, 1.0 / config.generations, 0.0
 
     def __enter__(self) -> _Reporter:
         if self._console.is_terminal:
@@ -188,7 +209,7 @@ class _Reporter:
                 console=self._console,
             )  # fmt: skip
             self._bar.start()
-            self._task = self._bar.add_task("generation 0", total=self._config.evaluations())
+            self._task = self._bar.add_task("generation 0", total=1.0)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -197,7 +218,12 @@ class _Reporter:
 
     def generation(self, told: Generation) -> None:
         """Print what a generation brought."""
-        self._evaluated, self._generations = told.evaluations, told.number + 1
+        done = self._config.share_done(told)
+        left = self._config.generations - told.number - 1
+        # Of a budget it is not known how many generations are left: the next one is like the last.
+        even = (1.0 - done) / left if left else 0.0
+        self._step = even if self._config.budget_s is None else done - self._done
+        self._done = done
         failures = ", ".join(f"{n} {reason}" for reason, n in told.failures.items() if n) or "none"
         line = (
             f"generation {told.number:3d}  best {1000 * told.best_m:6.1f} mm  "
@@ -206,23 +232,19 @@ class _Reporter:
         )
         if self._bar is None or self._task is None:
             if told.replayed:
-                self._replayed = told.evaluations  # they took no time, and say nothing of what is left
-            pace_s = told.elapsed_s / max(told.evaluations - self._replayed, 1)
-            left = pace_s * max(self._config.evaluations() - told.evaluations, 0)
-            self._console.print(f"{line}  left {left / 60:.1f} min", soft_wrap=True)
+                self._replayed = done  # it took no time, and says nothing of what is left
+            computed = done - self._replayed
+            if computed > 0:
+                line += f"  left {told.elapsed_s / computed * (1.0 - done) / 60:.1f} min"
+            self._console.print(line, soft_wrap=True)
         else:
             self._console.print(line)
-            self._bar.update(
-                self._task, completed=told.evaluations, description=f"generation {told.number + 1}"
-            )
+            self._bar.update(self._task, completed=done, description=f"generation {told.number + 1}")
 
     def progress(self, share: float) -> None:
         """Move the bar within a generation."""
         if self._bar is not None and self._task is not None:
-            size = (self._config.evaluations() - self._evaluated) / (
-                self._config.generations - self._generations
-            )
-            self._bar.update(self._task, completed=self._evaluated + share * size)
+            self._bar.update(self._task, completed=self._done + share * self._step)
 
 
 @dataclass(frozen=True)
@@ -233,8 +255,14 @@ class PreprocessArgs:
     """Print data instead of a table: gene, kind, mu, sigma, lower, upper, reason."""
     out: Path = Path("preprocess.png")
     """Where to draw the densities."""
+    genome: GenomeKind = "shared"
+    """full: times of every spring; per-segment: a body for every segment."""
     floor_ratio: float = 3.0
     """Greatest over least density of a Gaussian; the paper's third is 3."""
+    clipping: Clipping = "truncated"
+    """What becomes of a Gaussian beyond the bounds of its gene."""
+    mirrored: bool = False
+    """Every peak at the opposite end: the prior that misleads on purpose."""
     gait_period_s: float = GAIT_PERIOD_S
     """Gait period, the upper bound of the times."""
     num_segments: int = 4
@@ -247,7 +275,10 @@ def preprocess_command(argv: Sequence[str]) -> int:
 
     args = cli.parse(PreprocessArgs, argv, "preprocess")
     physics = replace(RunConfig().physics, num_segments=args.num_segments)
-    priors = paper_priors(physics, args.gait_period_s, args.floor_ratio)
+    priors = paper_priors(
+        physics, args.gait_period_s, args.floor_ratio, args.clipping,
+        mirrored=args.mirrored, kind=args.genome,
+    )  # fmt: skip
     if args.json:
         print(json.dumps([prior.to_dict() for prior in priors], indent=2))
     else:
@@ -270,7 +301,7 @@ def _table(priors: Sequence[GenePrior], names: Sequence[str]) -> Table:
         table.add_column(heading, no_wrap=heading == "gene")
     for prior in priors:
         gene, data, signs = prior.gene, prior.to_dict(), dict(prior.signs)
-        gaussian = isinstance(prior.distribution, TruncatedGaussian)
+        gaussian = not isinstance(prior.distribution, Uniform)
         table.add_row(
             gene.name,
             f"{gene.lower:g} - {gene.upper:g}",

@@ -40,7 +40,8 @@ CREATE TABLE run (configuration TEXT NOT NULL);
 CREATE TABLE sessions (
     session INTEGER PRIMARY KEY,
     started TEXT NOT NULL,
-    fingerprint TEXT NOT NULL
+    fingerprint TEXT NOT NULL,
+    finished TEXT
 );
 CREATE TABLE evaluations (
     evaluation INTEGER PRIMARY KEY,
@@ -208,6 +209,27 @@ class Journal:
         assert row.lastrowid is not None
         return row.lastrowid
 
+    def finish(self, session: int) -> None:
+        """Note that the run came to its end in this session."""
+        with _told(self.path), self._db:
+            self._db.execute(
+                "UPDATE sessions SET finished = datetime('now') WHERE session = ?", [session]
+            )
+
+    @property
+    def finished(self) -> bool:
+        """Whether the last session came to the end of the run."""
+        row = self._db.execute("SELECT finished FROM sessions ORDER BY session DESC LIMIT 1").fetchone()
+        return row is not None and row[0] is not None
+
+    @property
+    def wall_s(self) -> float | None:
+        """Wall time of a run that was finished in its first session, s, to the second; else None."""
+        rows = self._db.execute(
+            "SELECT (julianday(finished) - julianday(started)) * 86400 FROM sessions ORDER BY session"
+        ).fetchall()
+        return None if not rows or rows[0][0] is None else float(round(rows[0][0]))
+
     def append(
         self, first: int, generation: int, genomes: Array, outcomes: Outcomes, session: int
     ) -> None:
@@ -292,7 +314,7 @@ class Journal:
             if old.exists():
                 old.replace(path.with_name(f"{FILE}.damaged{suffix}"))
         with cls.create(folder, json.loads(configuration)) as journal, _told(path), journal._db as db:
-            db.executemany("INSERT INTO sessions VALUES (?, ?, ?)", sessions)
+            db.executemany("INSERT INTO sessions VALUES (?, ?, ?, ?)", sessions)
             db.executemany(f"INSERT INTO evaluations VALUES ({', '.join('?' * 9)})", kept)
         return len(kept)
 

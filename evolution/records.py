@@ -19,7 +19,7 @@ from evolution import cli
 from evolution.genome import decode
 from evolution.individual import Individual
 from evolution.journal import FILE, Journal, JournalError, outcomes_of
-from evolution.run import RunConfig, read_configuration, scores
+from evolution.run import read_configuration, scores
 
 if TYPE_CHECKING:
     import polars
@@ -128,27 +128,22 @@ def _summary(folder: Path) -> dict[str, Any]:
         with Journal(folder) as journal:
             config, own = read_configuration(journal)
             evaluations = list(journal.evaluations())
+            finished = journal.finished
     except JournalError as error:
         busy = "another process" in str(error)
         row["state"] = "running" if busy else str(error)
         return row
     done = 1 + evaluations[-1].generation if evaluations else 0
     row |= {
-        "state": _state(config, own, len(evaluations), done),
+        "state": "finished" if finished else "stopped",
         "optimizer": own or config.optimizer,
         "prior": config.prior,
         "seed": config.seed,
-        "generation": f"{done} of {config.generations}",
+        "generation": f"{done} of {config.generations}" if config.budget_s is None else str(done),
         "evaluations": len(evaluations),
         "best, mm": _best_mm(folder),
     }
     return row
-
-
-def _state(config: RunConfig, own: str | None, evaluations: int, generations: int) -> str:
-    """Of a run that nobody works on."""
-    whole = config.evaluations() if own is None and config.optimizer != "cma-es" else evaluations
-    return "finished" if generations == config.generations and evaluations >= whole else "stopped"
 
 
 def _best_mm(folder: Path) -> float | None:

@@ -51,6 +51,7 @@ class RunConfig:
 
     seed: int = 0  #: of the optimizer; the robot's own is mismatch_seed
     generations: int = 50  #: how often the optimizer asks
+    budget_s: float | None = None  #: simulated seconds; once they are spent, it asks no more
     optimizer: OptimizerName = "ga"
     genome: GenomeKind = "shared"  #: full: times of every spring; per-segment: a body for every segment
     prior: Prior = "preprocessed"  #: what genes are drawn from; init- and mutation-only are the GA's
@@ -69,6 +70,8 @@ class RunConfig:
             raise RunError(f"seed = {self.seed} must not be negative")
         if self.generations < 1:
             raise RunError(f"generations = {self.generations} must be at least 1")
+        if self.budget_s is not None and not 0 < self.budget_s < np.inf:
+            raise RunError(f"budget_s = {self.budget_s} must be a positive number of simulated seconds")
         for name, kind in _CHOICES.items():
             if getattr(self, name) not in get_args(kind):
                 known = ", ".join(get_args(kind))
@@ -138,6 +141,12 @@ class RunConfig:
             return ga.population * self.generations
         default = 4 + int(3 * np.log(len(self.genes())))
         return (self.cma.cma_population or default) * self.generations
+
+    def share_done(self, told: Generation) -> float:
+        """How much of the run is behind it after a generation, in [0, 1]; of a budget, what is spent."""
+        if self.budget_s is not None:
+            return min(told.simulated_s / self.budget_s, 1.0)
+        return min(told.evaluations / self.evaluations(), 1.0)
 
 
 _CHOICES = {
@@ -303,6 +312,8 @@ def _run(
     try:
         with evaluator or LocalEvaluator() as workers:
             for number in range(config.generations):
+                if config.budget_s is not None and record.simulated_s >= config.budget_s:
+                    break
                 genomes = check(optimizer.ask(), num_genes)
                 first = record.evaluations
                 parts = _replayed(known[first : first + len(genomes)], genomes, journal.path)
@@ -318,6 +329,7 @@ def _run(
                 told = record.add(number, genomes, outcomes, replayed=replayed == len(genomes))
                 if on_generation is not None:
                     on_generation(told)
+        journal.finish(session)
     except KeyboardInterrupt:
         return RunResult(record.best, record.history, finished=False)
     return RunResult(record.best, record.history, finished=True)

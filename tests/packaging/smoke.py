@@ -22,13 +22,18 @@ assert Path(caterpillar_env.__file__).with_name("py.typed").exists()
 for module in ("torch", "ray", "stable_baselines3"):
     assert importlib.util.find_spec(module) is None, f"{module} came with the base install"
 import baselines  # noqa: F401, E402
-import evolution  # noqa: F401, E402
+import evolution  # noqa: E402
 
 for name in ("CaterpillarSMA-v0", "CaterpillarSMASwitch-v0"):
     env = gymnasium.make(f"caterpillar_env:{name}")
     env.reset(seed=0)
     env.step(env.action_space.sample())
     env.close()
+
+from evolution.study import preset  # noqa: E402
+
+assert len(preset("pilot").cells()) > 1, "a preset was not packed"
+assert (Path(evolution.__file__).parent / "study.html").exists(), "the page was not packed"
 
 command = Path(sys.executable).with_name("caterpillar")
 run = [command, "evolve", "--preset", "quick", "--population", "4", "--hall-of-fame", "1"]

@@ -40,3 +40,12 @@ def test_commands_and_their_flags_exist(page, capsys):
         told = capsys.readouterr().out
         for flag in (word for word in rest if word.startswith("--")):
             assert flag in told, line
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.name)
+def test_studies_in_the_docs_can_be_run(page, tmp_path):
+    from evolution.study import read_toml
+
+    for text in re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL):
+        (tmp_path / "study.toml").write_text(text)
+        assert len(read_toml(tmp_path / "study.toml").cells()) > 1
