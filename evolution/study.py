@@ -1,0 +1,369 @@
+"""A study: arms times seeds, each cell a run of its own, all with one budget of simulated seconds.
+
+A study is a folder that can be left and gone on with at any point: `study.json` (what is asked),
+`cells/ARM/seed-N` (a run folder each), `thresholds.json` (frozen once, from seeds of their own).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import statistics
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import polars
+from numpy.typing import NDArray
+
+from caterpillar_env.errors import CaterpillarError
+from evolution.evaluators import LocalEvaluator
+from evolution.journal import FILE, Journal
+from evolution.records import table
+from evolution.run import RunConfig, evolve, read_configuration, resume
+
+Array = NDArray[np.float64]
+DATA = "evaluations.parquet"  #: all evaluations of a study in one table
+_FOREVER = 1_000_000  # generations: the budget ends a cell
+
+
+class StudyError(CaterpillarError):
+    """A study is not described or not used as it must be."""
+
+
+class Cell(NamedTuple):
+    """One run of a study."""
+
+    arm: str
+    seed: int
+
+    def folder(self, study: Path) -> Path:
+        """Its run folder."""
+        return study / "cells" / self.arm / f"seed-{self.seed}"
+
+
+@dataclass(frozen=True)
+class StudyConfig:
+    """What a study asks.
+
+    Raises:
+        StudyError: seeds are missing or serve twice, the reference is no arm, or a value is unusable.
+    """
+
+    arms: Mapping[str, RunConfig]
+    seeds: tuple[int, ...]
+    pilot_seeds: tuple[int, ...]  #: of the reference arm alone; thresholds come from them, nothing else
+    budget_s: float  #: simulated seconds of each cell
+    reference: str = "ga-uniform"  #: the arm that the others are compared with
+    generation: int = 50  #: at which arms of the genetic algorithm are compared as well
+    threshold_shares: tuple[float, ...] = (0.5, 0.75, 1.0)  #: of the reference's median final distance
+    sources: Mapping[str, Any] = field(default_factory=dict, compare=False)
+
+    def __post_init__(self) -> None:
+        if not self.arms:
+            raise StudyError("a study needs arms: [arms.NAME] with what is special about each")
+        for name in ("seeds", "pilot_seeds"):
+            seeds = getattr(self, name)
+            whole = all(isinstance(s, int) and s >= 0 for s in seeds)
+            if not seeds or not whole or len(set(seeds)) < len(seeds):
+                raise StudyError(
+                    f"{name} must be different whole numbers, at least one; got {list(seeds)}"
+                )
+        if both := set(self.seeds) & set(self.pilot_seeds):
+            raise StudyError(
+                f"seeds {sorted(both)} are pilot seeds too: thresholds must come from runs that the "
+                "analysis does not see"
+            )
+        if self.reference not in self.arms:
+            raise StudyError(
+                f"reference = {self.reference!r} is no arm; arms are {', '.join(self.arms)}"
+            )
+        if not 0 < self.budget_s < np.inf:
+            raise StudyError(f"budget_s = {self.budget_s!r} must be a positive number of seconds")
+        shares = self.threshold_shares
+        if not shares or not all(0 < s < np.inf for s in shares):
+            raise StudyError(f"threshold_shares must be positive numbers; got {list(shares)}")
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> StudyConfig:
+        """The study of plain data, as in a TOML file: `base` holds what all arms have in common.
+
+        Raises:
+            CaterpillarError: an unknown field, or an unusable value.
+        """
+        fields = {**data}
+        base, arms = fields.pop("base", {}), fields.pop("arms", {})
+        known = {"seeds", "pilot_seeds", "budget_s", "reference", "generation", "threshold_shares"}
+        if unknown := set(fields) - known:
+            raise StudyError(
+                f"a study has no {', '.join(sorted(unknown))}; it has base, arms, "
+                f"{', '.join(sorted(known))}"
+            )
+        if missing := {"seeds", "pilot_seeds", "budget_s"} - set(fields):
+            raise StudyError(f"a study needs {', '.join(sorted(missing))}")
+        for name in ("seeds", "pilot_seeds", "threshold_shares"):
+            if name in fields:
+                if not isinstance(fields[name], (list, tuple)):
+                    raise StudyError(f"{name} must be a list; got {fields[name]!r}")
+                fields[name] = tuple(fields[name])
+        made = {}
+        for name, special in arms.items():
+            if not isinstance(special, Mapping):
+                raise StudyError(f"arms.{name} must be a table of a run's settings; got {special!r}")
+            if taken := (set(special) | set(base)) & {"seed", "generations", "budget_s"}:
+                raise StudyError(
+                    f"arms.{name}: {', '.join(sorted(taken))} is the study's to say, not an arm's"
+                )
+            try:
+                made[name] = RunConfig.from_dict(_merged(base, special))
+            except CaterpillarError as error:
+                raise StudyError(f"arms.{name}: {error}") from None
+        try:
+            return cls(made, **fields, sources={"base": base, "arms": arms})
+        except TypeError as error:
+            raise StudyError(f"the study cannot be read: {error}") from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, as `from_dict` takes it."""
+        return {
+            "seeds": list(self.seeds),
+            "pilot_seeds": list(self.pilot_seeds),
+            "budget_s": self.budget_s,
+            "reference": self.reference,
+            "generation": self.generation,
+            "threshold_shares": list(self.threshold_shares),
+            **self.sources,
+        }
+
+    def cells(self) -> list[Cell]:
+        """All runs; those that thresholds come from first."""
+        pilot = [Cell(self.reference, seed) for seed in self.pilot_seeds]
+        return pilot + [Cell(arm, seed) for seed in self.seeds for arm in self.arms]
+
+    def run_config(self, cell: Cell) -> RunConfig:
+        """What a cell computes."""
+        arm = self.arms[cell.arm]
+        return replace(arm, seed=cell.seed, budget_s=self.budget_s, generations=_FOREVER)
+
+
+def _merged(base: Mapping[str, Any], special: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables within tables are merged, anything else replaced."""
+    merged = dict(base)
+    for key, value in special.items():
+        old = merged.get(key)
+        both = isinstance(old, Mapping) and isinstance(value, Mapping)
+        merged[key] = _merged(old, value) if both else value  # type: ignore[arg-type]
+    return merged
+
+
+def read_toml(path: Path) -> StudyConfig:
+    """The study that a TOML file describes.
+
+    Raises:
+        StudyError: no such file, no TOML, or no study in it.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise StudyError(f"cannot read {path}: {error.strerror}") from None
+    except ValueError as error:
+        raise StudyError(f"{path} is not TOML: {error}") from None
+    try:
+        return StudyConfig.from_dict(data)
+    except CaterpillarError as error:
+        raise StudyError(f"{path}: {error}") from None
+
+
+def preset(name: str) -> StudyConfig:
+    """One of the studies that come with the package: paper, ablation, pilot."""
+    return read_toml(Path(__file__).with_name("studies") / f"{name}.toml")
+
+
+def begin(config: StudyConfig, folder: Path) -> None:
+    """Make the study's folder, or see that it holds the same study, perhaps with fewer arms or seeds.
+
+    Raises:
+        StudyError: the folder holds something else, or cells of other settings.
+    """
+    file = folder / "study.json"
+    if not file.exists():
+        if folder.exists() and any(folder.iterdir()):
+            raise StudyError(f"{folder} is not empty and holds no study; choose another with --out")
+    else:
+        before = load(folder)
+        changed = [
+            name
+            for name in ("budget_s", "reference", "pilot_seeds", "threshold_shares")
+            if getattr(before, name) != getattr(config, name)
+        ]
+        changed += [f"arms.{a}" for a, c in before.arms.items() if config.arms.get(a, c) != c]
+        if changed:
+            raise StudyError(
+                f"{folder} holds a study with other {', '.join(changed)}; its cells would not compare: "
+                "choose another folder with --out"
+            )
+    folder.mkdir(parents=True, exist_ok=True)
+    partial = folder / ".study.json.partial"
+    partial.write_text(json.dumps(config.to_dict(), indent=2) + "\n", encoding="utf-8")
+    os.replace(partial, file)
+
+
+def load(folder: Path) -> StudyConfig:
+    """The study that a folder holds.
+
+    Raises:
+        StudyError: none.
+    """
+    try:
+        data = json.loads((folder / "study.json").read_text(encoding="utf-8"))
+    except OSError:
+        raise StudyError(f"{folder} holds no study (no study.json)") from None
+    except ValueError as error:
+        raise StudyError(f"{folder / 'study.json'} is not JSON: {error}") from None
+    return StudyConfig.from_dict(data)
+
+
+def is_finished(cell: Cell, study: Path) -> bool:
+    """Whether a cell came to its end; a running one has not."""
+    folder = cell.folder(study)
+    if not (folder / FILE).exists():
+        return False
+    try:
+        with Journal(folder) as journal:
+            return journal.finished
+    except CaterpillarError:
+        return False
+
+
+def run_cell(config: RunConfig, folder: Path) -> None:
+    """Run a cell on one thread, or go on with it; nothing is done twice.
+
+    Raises:
+        StudyError: the folder's run has other settings.
+    """
+    if not (folder / FILE).exists():
+        shutil.rmtree(folder, ignore_errors=True)  # begun, but nothing evaluated
+        evolve(config, folder, evaluator=LocalEvaluator(1))
+        return
+    with Journal(folder) as journal:
+        before, _ = read_configuration(journal)
+        if before != config:
+            raise StudyError(
+                f"{folder} was run with other settings; choose another folder for the study"
+            )
+        if journal.finished:
+            return
+    resume(folder, evaluator=LocalEvaluator(1))
+
+
+def collect(config: StudyConfig, folder: Path) -> tuple[polars.DataFrame, list[Cell]]:
+    """All evaluations of the finished cells in one table, and the cells that are not finished.
+
+    Where the runs themselves are not there, but the table that an earlier call left is, it is read.
+    """
+    if not (folder / "cells").exists() and (folder / DATA).exists():
+        frame = polars.read_parquet(folder / DATA)
+        there = {Cell(arm, seed) for arm, seed in frame.select("arm", "seed").unique().iter_rows()}
+        return frame, [cell for cell in config.cells() if cell not in there]
+    parts, missing = [], []
+    for cell in config.cells():
+        if not is_finished(cell, folder):
+            missing.append(cell)
+            continue
+        rows = table(cell.folder(folder)).drop("session", "fitness")
+        outcome = rows.columns[: rows.columns.index("simulated_s") + 1]
+        genes = [polars.col(name).cast(polars.Float32) for name in rows.columns[len(outcome) :]]
+        who = (polars.lit(cell.arm).alias("arm"), polars.lit(cell.seed).alias("seed"))
+        wall_s = polars.lit(_wall_s(cell.folder(folder)), polars.Float64).alias("wall_s")
+        parts.append(rows.select(*who, wall_s, *outcome, *genes))
+    frame = polars.concat(parts, how="diagonal") if parts else polars.DataFrame()
+    if parts:
+        frame.write_parquet(folder / DATA, compression="zstd", compression_level=19)
+    return frame, missing
+
+
+def _wall_s(folder: Path) -> float | None:
+    """Wall time of a run that was never interrupted, s."""
+    with Journal(folder) as journal:
+        return journal.wall_s
+
+
+def thresholds(config: StudyConfig, folder: Path, frame: polars.DataFrame) -> list[float] | None:
+    """The distances (m) that runs are timed to: frozen when the pilot seeds are through, and kept.
+
+    Returns:
+        None as long as they are not.
+    """
+    file = folder / "thresholds.json"
+    if file.exists():
+        kept: list[float] = json.loads(file.read_text(encoding="utf-8"))["thresholds_m"]
+        return kept
+    finals = [
+        course.best_m[-1] for course in courses(frame, config, config.pilot_seeds)[config.reference]
+    ]
+    if len(finals) < len(config.pilot_seeds):
+        return None
+    middle = statistics.median(finals)
+    if middle <= 0:
+        raise StudyError(
+            "no pilot run of the reference arm crawled forwards: there is nothing to time; raise "
+            "budget_s"
+        )
+    found = [float(share * middle) for share in config.threshold_shares]
+    data = {"thresholds_m": found, "reference": config.reference, "pilot_seeds": config.pilot_seeds}
+    file.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    return found
+
+
+class Course(NamedTuple):
+    """One run over its simulated time; E evaluations within the budget."""
+
+    seed: int
+    spent_s: Array  #: simulated seconds after each evaluation, (E,)
+    best_m: Array  #: best distance so far, (E,)
+    generation: NDArray[np.int64]  #: of each evaluation, (E,)
+
+    def reaches(self, distance_m: float, horizon_s: float) -> tuple[float, bool]:
+        """When it gets that far, s, and True; or `horizon_s` and False."""
+        there = np.flatnonzero(self.best_m >= distance_m)
+        return (float(self.spent_s[there[0]]), True) if there.size else (horizon_s, False)
+
+    def at_generation(self, number: int) -> float:
+        """Best distance by the end of a generation, m; NaN if the budget ended before."""
+        if not len(self.generation) or self.generation[-1] < number:
+            return float("nan")
+        return float(self.best_m[np.searchsorted(self.generation, number, side="right") - 1])
+
+
+def courses(
+    frame: polars.DataFrame, config: StudyConfig, seeds: tuple[int, ...]
+) -> dict[str, list[Course]]:
+    """The runs of each arm with these seeds."""
+    found: dict[str, list[Course]] = {arm: [] for arm in config.arms}
+    for (arm, seed), rows in _cells(frame):
+        if arm not in found or seed not in seeds:
+            continue
+        spent = np.cumsum(rows["simulated_s"].to_numpy())
+        inside = spent <= config.budget_s
+        healthy = (rows["failure"] == "ok").to_numpy()
+        crawled = np.where(healthy, np.maximum(rows["distance_m"].to_numpy(), 0.0), 0.0)
+        found[arm].append(
+            Course(
+                seed,
+                spent[inside],
+                np.maximum.accumulate(crawled)[inside],
+                rows["generation"].to_numpy()[inside],
+            )
+        )
+    return found
+
+
+def _cells(frame: polars.DataFrame) -> Iterator[tuple[tuple[str, int], polars.DataFrame]]:
+    if frame.is_empty():
+        return
+    for (arm, seed), rows in frame.group_by("arm", "seed", maintain_order=True):
+        yield (str(arm), int(seed)), rows.sort("evaluation")

@@ -1,0 +1,152 @@
+"""The subcommands `study` and `report`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+from rich.text import Text
+
+from caterpillar_env.errors import CaterpillarError
+from evolution import cli, study
+from evolution.cells import Processes, Progress, RayTasks, Workers, run_study
+
+
+@dataclass(frozen=True)
+class StudyArgs:
+    """Run a study's arms and seeds; what is finished is never run again. Then write its report."""
+
+    file: Annotated[Path | None, tyro.conf.Positional] = None
+    """TOML file that describes the study (docs/study.md)."""
+    preset: Literal["paper", "ablation", "pilot"] | None = None
+    """Instead of a file: a study that comes with the package."""
+    out: Path | None = None
+    """The study's folder; by default studies/ and the name of the file or preset."""
+    processes: int = 0
+    """Runs side by side, each on one thread; 0 for as many as cores."""
+    evaluator: Literal["local", "ray"] = "local"
+    """local: processes of this machine; ray: tasks of a Ray cluster that shares the folder."""
+    ray_address: str | None = None
+    """Address of a running cluster; by default one is started here."""
+    winners: bool = True
+    """Look at each arm's best robot again for the report: minutes."""
+
+
+def study_command(argv: Sequence[str]) -> int:
+    """`caterpillar study`."""
+    args = cli.parse(StudyArgs, argv, "study")
+    if (args.file is None) == (args.preset is None):
+        raise CaterpillarError("give either a TOML file or --preset paper, ablation or pilot")
+    config = study.read_toml(args.file) if args.file else study.preset(str(args.preset))
+    folder = args.out or Path("studies") / (args.file.stem if args.file else str(args.preset))
+    study.begin(config, folder)
+    workers: Workers
+    if args.evaluator == "ray":
+        workers = RayTasks(args.ray_address)
+    else:
+        workers = Processes(args.processes or len(os.sched_getaffinity(0)))
+    console = Console(stderr=True, markup=False, highlight=False)
+    try:
+        with _Display(console) as display:
+            failed = run_study(config, folder, workers, display.show)
+    except KeyboardInterrupt:
+        console.print(f"stopped; go on with: caterpillar study {' '.join(argv)}", soft_wrap=True)
+        return 130
+    for cell, error in failed:
+        console.print(f"{cell.arm} seed {cell.seed} failed: {error}", soft_wrap=True)
+    _report(folder, console, look_again=args.winners)
+    return 1 if failed else 0
+
+
+class _Display:
+    """One display of all runs: live on a terminal, a line a minute elsewhere."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._bar = Bar(
+            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.0f} %, left"),
+            TimeRemainingColumn(), console=console,
+        )  # fmt: skip
+        self._task = self._bar.add_task("study", total=1.0)
+        self._live = Live(console=console, refresh_per_second=2)
+        self._told = -1
+
+    def __enter__(self) -> _Display:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._console.is_terminal:
+            self._live.stop()
+
+    def show(self, progress: Progress) -> None:
+        """Draw the display anew."""
+        self._bar.update(
+            self._task, completed=progress.spent,
+            description=f"{progress.finished} of {progress.cells} runs",
+        )  # fmt: skip
+        lines = [
+            f"  {cell.arm} seed {cell.seed}: {now.simulated_s:,.0f} s simulated, "
+            f"best {1000 * now.best_m:.1f} mm"
+            for cell, now in progress.running.items()
+        ]
+        if self._console.is_terminal:
+            self._live.update(Group(self._bar, Text("\n".join(lines))))
+            return
+        task = self._bar.tasks[0]
+        minute = int(task.elapsed or 0) // 60
+        if minute > self._told or progress.finished == progress.cells:
+            self._told = minute
+            left = task.time_remaining
+            eta = "" if left is None else f", left {left / 60:.0f} min"
+            self._console.print(
+                f"{progress.finished} of {progress.cells} runs, {100 * progress.spent:.0f} %{eta};"
+                + ";".join(lines),
+                soft_wrap=True,
+            )
+
+
+@dataclass(frozen=True)
+class ReportArgs:
+    """Write figures and report.html of a study, of what is finished of it."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """The study's folder."""
+    winners: bool = True
+    """Look at each arm's best robot again, where that is not done yet: minutes."""
+
+
+def report_command(argv: Sequence[str]) -> int:
+    """`caterpillar report`."""
+    args = cli.parse(ReportArgs, argv, "report")
+    _report(args.folder, Console(stderr=True, markup=False, highlight=False), look_again=args.winners)
+    return 0
+
+
+def _report(folder: Path, console: Console, *, look_again: bool) -> None:
+    from evolution import analysis, report
+
+    config = study.load(folder)
+    frame, missing = study.collect(config, folder)
+    if frame.is_empty():
+        raise CaterpillarError(
+            f"no run of {folder} is finished yet; go on with caterpillar study, or see caterpillar runs "
+            f"{folder}"
+        )
+    found = analysis.analyse(config, frame, missing, study.thresholds(config, folder, frame))
+    if look_again:
+        console.print("looking at the best robots again ...")
+    best = analysis.winners(config, folder) if look_again else []
+    page = report.write(found, frame, best, folder)
+    print("\n".join(analysis.headline(found)))
+    print(f"written: {page}", file=sys.stderr)

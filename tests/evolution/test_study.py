@@ -1,0 +1,333 @@
+"""A study of small robots: run, left, gone on with, and told."""
+
+import json
+import re
+
+import numpy as np
+import polars
+import pytest
+
+from caterpillar_env.errors import CaterpillarError
+from evolution import cli, study
+from evolution.analysis import analyse, headline
+from evolution.cells import Processes, run_study, standing
+from evolution.study import Cell, Course, StudyConfig, StudyError
+
+#: One worker runs the study that most tests look at.
+pytestmark = pytest.mark.xdist_group("study")
+
+SMALL = {
+    "seeds": [0, 1],
+    "pilot_seeds": [8],
+    "budget_s": 240,
+    "generation": 1,
+    "base": {
+        "ga": {"population": 4, "hall_of_fame": 1},
+        "physics": {"num_segments": 2, "timestep_s": 0.01},
+    },
+    "arms": {
+        "ga-uniform": {"prior": "uniform"},
+        "cma-es": {"optimizer": "cma-es", "cma": {"cma_population": 4}},
+    },
+}
+TOML = """
+seeds = [0, 1]
+pilot_seeds = [8]
+budget_s = 240
+generation = 1
+[base.ga]
+population = 4
+hall_of_fame = 1
+[base.physics]
+num_segments = 2
+timestep_s = 0.01
+[arms.ga-uniform]
+prior = "uniform"
+[arms.cma-es]
+optimizer = "cma-es"
+cma.cma_population = 4
+"""
+
+
+def changed(**fields):
+    return {**SMALL, **fields}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A study that was run to its end from the command line, and what it printed."""
+    home = tmp_path_factory.mktemp("study")
+    (home / "small.toml").write_text(TOML)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(home)
+        assert cli.main(["study", "small.toml", "--no-winners"]) == 0
+    return home / "studies" / "small"
+
+
+# What a study is
+
+
+def test_toml_and_plain_data_describe_the_same_study(tmp_path):
+    (tmp_path / "small.toml").write_text(TOML)
+    assert study.read_toml(tmp_path / "small.toml") == StudyConfig.from_dict(SMALL)
+
+
+def test_a_study_survives_json():
+    config = StudyConfig.from_dict(SMALL)
+    assert StudyConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+
+
+def test_arms_are_what_they_have_in_common_and_what_is_special():
+    arms = StudyConfig.from_dict(SMALL).arms
+    assert {arm.ga.population for arm in arms.values()} == {4}
+    assert arms["ga-uniform"].prior == "uniform"
+    assert arms["cma-es"].cma.cma_population == 4
+    assert arms["cma-es"].physics.num_segments == 2
+
+
+@pytest.mark.parametrize("name", ["paper", "ablation", "pilot"])
+def test_presets_are_whole(name):
+    config = study.preset(name)
+    assert {"ga-uniform", "ga-preprocessed"} <= set(config.arms)
+    assert not set(config.seeds) & set(config.pilot_seeds)
+
+
+def test_pilot_holds_the_controls():
+    assert {"ga-mirrored", "random-preprocessed", "cma-es-uniform", "cma-es-preprocessed"} <= set(
+        study.preset("pilot").arms
+    )
+
+
+def test_cells_of_a_seed_differ_in_their_arm_alone():
+    config = StudyConfig.from_dict(SMALL)
+    assert len(config.cells()) == 1 + 2 * 2
+    assert config.cells()[0] == Cell("ga-uniform", 8)
+    run = config.run_config(Cell("cma-es", 1))
+    assert (run.seed, run.budget_s, run.optimizer) == (1, 240, "cma-es")
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (changed(arms={}), "a study needs arms"),
+        (changed(seeds=[]), "seeds must be different whole numbers, at least one; got []"),
+        (changed(seeds=[1, 1]), "seeds must be different"),
+        (changed(seeds=3), "seeds must be a list; got 3"),
+        (changed(pilot_seeds=[0]), "seeds [0] are pilot seeds too"),
+        (changed(reference="best"), "reference = 'best' is no arm; arms are ga-uniform"),
+        (changed(budget_s=0), "budget_s = 0 must be a positive number"),
+        (changed(threshold_shares=[]), "threshold_shares must be positive"),
+        (changed(luck=1), "a study has no luck; it has base, arms, budget_s"),
+        ({k: v for k, v in SMALL.items() if k != "seeds"}, "a study needs seeds"),
+        (changed(arms={"ga-uniform": {"seed": 3}}), "seed is the study's to say"),
+        (changed(arms={"ga-uniform": 3}), "arms.ga-uniform must be a table"),
+        (changed(arms={"ga-uniform": {"prior": "hopeful"}}), "arms.ga-uniform: prior = 'hopeful'"),
+        (changed(arms={"ga-uniform": {"hope": 1}}), "arms.ga-uniform: no such fields"),
+    ],
+    ids=lambda value: value[:30] if isinstance(value, str) else "",
+)
+def test_unusable_studies_are_refused(data, message):
+    with pytest.raises(CaterpillarError, match=re.escape(message)):
+        StudyConfig.from_dict(data)
+
+
+# Running
+
+
+def test_a_finished_study_is_never_run_again(finished):
+    config = study.load(finished)
+    before = {p: p.stat().st_mtime_ns for p in finished.glob("cells/**/journal.sqlite")}
+    assert len(before) == len(config.cells())
+    assert run_study(config, finished, Processes(2)) == []
+    assert {p: p.stat().st_mtime_ns for p in finished.glob("cells/**/journal.sqlite")} == before
+
+
+def test_every_run_spends_its_budget_and_stops(finished):
+    config = study.load(finished)
+    frame, missing = study.collect(config, finished)
+    assert not missing
+    spent = frame.group_by("arm", "seed").agg(polars.col("simulated_s").sum())
+    assert len(spent) == 5
+    for total in spent["simulated_s"]:
+        assert 240 <= total < 240 + 4 * 30
+
+
+@pytest.mark.slow
+def test_a_study_that_was_killed_goes_on_to_the_same_end(finished, tmp_path):
+    config = study.load(finished)
+    study.begin(config, tmp_path / "again")
+    workers = Processes(2)
+    seen = []
+
+    def stop(progress):
+        seen.append(progress.spent)
+        if any(now.simulated_s > 0 for now in progress.running.values()):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_study(config, tmp_path / "again", workers, stop)
+    assert len(study.collect(config, tmp_path / "again")[1]) > 0
+    assert run_study(config, tmp_path / "again", Processes(2)) == []
+    ours, theirs = (
+        study.collect(config, folder)[0].drop("wall_s") for folder in (tmp_path / "again", finished)
+    )
+    assert ours.equals(theirs)
+
+
+def test_a_run_that_fails_is_told_and_keeps_none_of_the_others(finished, tmp_path):
+    config = StudyConfig.from_dict(changed(seeds=[0], arms={"ga-uniform": {"prior": "uniform"}}))
+    study.begin(config, tmp_path)
+    broken = Cell("ga-uniform", 8).folder(tmp_path)
+    broken.mkdir(parents=True)
+    (broken / "journal.sqlite").write_text("not a journal")
+    ((cell, error),) = run_study(config, tmp_path, Processes(2))
+    assert cell == Cell("ga-uniform", 8)
+    assert "is damaged" in error
+    assert study.is_finished(Cell("ga-uniform", 0), tmp_path)
+
+
+def test_progress_of_a_run_is_read_from_outside(finished):
+    config = study.load(finished)
+    cell = config.cells()[0]
+    now = standing(cell.folder(finished))
+    rows = study.collect(config, finished)[0].filter(
+        (polars.col("arm") == cell.arm) & (polars.col("seed") == cell.seed)
+    )
+    assert now.simulated_s == pytest.approx(rows["simulated_s"].sum())
+    assert standing(finished / "nothing") == (0.0, 0.0)
+
+
+def test_another_study_in_the_same_folder_is_refused(finished):
+    with pytest.raises(StudyError, match=r"a study with other budget_s"):
+        study.begin(StudyConfig.from_dict(changed(budget_s=300)), finished)
+    arms = {**SMALL["arms"], "cma-es": {"optimizer": "random"}}
+    with pytest.raises(StudyError, match=r"a study with other arms\.cma-es"):
+        study.begin(StudyConfig.from_dict(changed(arms=arms)), finished)
+
+
+def test_folder_of_something_else_is_refused(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(StudyError, match="is not empty and holds no study"):
+        study.begin(StudyConfig.from_dict(SMALL), tmp_path)
+
+
+# What it amounts to
+
+
+def test_thresholds_come_from_the_pilot_seeds_and_stay(finished):
+    config = study.load(finished)
+    frame, _ = study.collect(config, finished)
+    rows = frame.filter((polars.col("seed") == 8) & (polars.col("failure") == "ok"))
+    top = study.courses(frame, config, (8,))["ga-uniform"][0].best_m[-1]
+    assert rows["distance_m"].max() >= top > 0
+    assert study.thresholds(config, finished, frame) == pytest.approx([0.5 * top, 0.75 * top, top])
+    assert study.thresholds(config, finished, frame.clear()) == pytest.approx(
+        [0.5 * top, 0.75 * top, top]
+    )
+
+
+def test_pilot_seeds_are_in_no_table(finished):
+    config = study.load(finished)
+    frame, missing = study.collect(config, finished)
+    found = analyse(config, frame, missing, [0.001])
+    assert {c.seed for courses in found.courses.values() for c in courses} == {0, 1}
+    assert {row.runs for row in found.finals} == {2}
+    assert [row.arm for row in found.times[0.001]] == list(config.arms)
+
+
+def test_course_of_a_run():
+    course = Course(
+        0, np.array([10.0, 20.0, 35.0, 50.0]), np.array([0.0, 0.01, 0.01, 0.03]), np.array([0, 0, 1, 1])
+    )
+    assert course.reaches(0.01, 99.0) == (20.0, True)
+    assert course.reaches(0.02, 99.0) == (50.0, True)
+    assert course.reaches(0.04, 99.0) == (99.0, False)
+    assert [course.at_generation(n) for n in (0, 1)] == [0.01, 0.03]
+    assert np.isnan(course.at_generation(2))
+
+
+def test_evaluations_beyond_the_budget_do_not_count():
+    config = StudyConfig.from_dict(changed(budget_s=25))
+    frame = polars.DataFrame(
+        {
+            "arm": ["cma-es"] * 4,
+            "seed": [0] * 4,
+            "evaluation": [0, 1, 2, 3],
+            "generation": [0, 0, 1, 1],
+            "failure": ["ok", "tipped", "ok", "ok"],
+            "distance_m": [0.01, 0.5, -0.2, 0.9],
+            "simulated_s": [10.0, 4.0, 10.0, 10.0],
+        }
+    )  # fmt: skip
+    (course,) = study.courses(frame, config, (0, 1))["cma-es"]
+    assert course.spent_s.tolist() == [10.0, 14.0, 24.0]
+    assert course.best_m.tolist() == [0.01, 0.01, 0.01]
+
+
+def test_report_is_one_page_with_all_arms(finished):
+    page = (finished / "report.html").read_text()
+    for arm in SMALL["arms"]:
+        assert f"<td>{arm}" in page
+    assert page.count("data:image/png;base64,") == 5
+    assert "http" not in page
+    assert "A pilot: with 2 runs" in page
+
+
+def test_report_can_be_made_again_from_the_table_alone(finished, tmp_path, capsys):
+    for name in ("study.json", "thresholds.json", study.DATA):
+        (tmp_path / name).write_bytes((finished / name).read_bytes())
+    assert cli.main(["report", str(finished), "--no-winners"]) == 0
+    first = capsys.readouterr().out
+    assert cli.main(["report", str(tmp_path), "--no-winners"]) == 0
+    assert capsys.readouterr().out == first
+    assert "cma-es" in first
+
+
+def test_unfinished_study_says_what_is_missing_and_draws_the_rest(finished):
+    config = study.load(finished)
+    frame, _ = study.collect(config, finished)
+    some = frame.filter((polars.col("arm") != "cma-es") | (polars.col("seed") == 0))
+    found = analyse(config, some, [Cell("cma-es", 1)], None)
+    said = headline(found)
+    assert said[0].startswith("UNFINISHED: 1 of 5 runs are missing (cma-es seed 1)")
+    assert any("not frozen yet" in sentence for sentence in said)
+    assert {row.arm: row.runs for row in found.finals}["cma-es"] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["study"], "give either a TOML file or --preset"),
+        (["study", "a.toml", "--preset", "pilot"], "give either a TOML file or --preset"),
+        (["study", "nothing.toml"], "cannot read nothing.toml"),
+        (["study", "broken.toml"], "broken.toml is not TOML"),
+        (["report", "nowhere"], "nowhere holds no study"),
+        (["report", "begun"], "no run of begun is finished yet"),
+    ],
+    ids=str,
+)
+def test_wrong_input_is_answered_in_one_line(tmp_path, monkeypatch, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "broken.toml").write_text("seeds = [")
+    study.begin(StudyConfig.from_dict(SMALL), tmp_path / "begun")
+    assert cli.main(arguments) == 1
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_best_robots_are_looked_at_again(finished, capsys):
+    assert cli.main(["report", str(finished)]) == 0
+    rows = json.loads((finished / "winners" / "winners.json").read_text())
+    assert set(rows) == set(SMALL["arms"])
+    for arm, row in rows.items():
+        assert row["recorded_m"] > 0
+        assert (finished / "winners" / f"{arm}.json").exists()
+        assert (
+            cli.main(["replay", str(finished / "winners" / f"{arm}.json"), "--no-video", "--json"]) == 0
+        )
+        assert json.loads(capsys.readouterr().out.partition("{")[2].join(["{", ""]))["identical"]
+    before = (finished / "winners" / "winners.json").stat().st_mtime_ns
+    assert cli.main(["report", str(finished)]) == 0
+    assert (finished / "winners" / "winners.json").stat().st_mtime_ns == before
