@@ -162,7 +162,8 @@ def gene_courses(analysis: Analysis, frame: polars.DataFrame) -> Figure | None:
             axis.fill_between(over["generation"], over["low"], over["high"], color=colour, alpha=0.1)
         if peak is not None:
             axis.axhline(peak, color="black", linestyle=":", linewidth=0.8)
-        axis.set(title=gene.name, ylim=(gene.lower, gene.upper))
+        margin = 0.04 * (gene.upper - gene.lower)
+        axis.set(title=gene.name, ylim=(gene.lower - margin, gene.upper + margin))
         axis.title.set_fontsize("small")
     axes[0].legend(fontsize="x-small")
     figure.supxlabel("generation (dotted: peak of the preprocessor's distribution)", fontsize="small")
