@@ -89,6 +89,11 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         return self._episodes.observation_names
 
     @property
+    def simulated_s(self) -> float:
+        """Simulated seconds that all rows together have been stepped for."""
+        return self._episodes.crawl.simulation.simulated_s
+
+    @property
     def morphologies(self) -> list[Morphology]:
         """The body of each row."""
         return list(self._morphologies)

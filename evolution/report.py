@@ -239,4 +239,6 @@ def _interval(estimate: Estimate | None, shown: Callable[[float], str]) -> str:
     value, low, high = (
         shown(v) if np.isfinite(v) else "∞" for v in (estimate.value, estimate.low, estimate.high)
     )
+    if np.isnan(estimate.low):
+        return value
     return f"{value} ({low} to {high})"

@@ -100,6 +100,9 @@ def bootstrap(
 ) -> Estimate:
     """A statistic of groups of runs, with the percentile interval of the bootstrap.
 
+    Where the statistic is infinite or undefined (nobody reached the threshold), no interval can be had
+    by drawing runs anew: its ends are NaN. Draws in which it is undefined are left out.
+
     Args:
         statistic: takes the arrays of the first group, then those of the next.
         groups: arrays of one length within a group; the runs of each are drawn anew, with replacement.
@@ -108,6 +111,8 @@ def bootstrap(
         resamples: how often.
     """
     value = statistic(*(array for group in groups for array in group))
+    if not np.isfinite(value):
+        return Estimate(value, float("nan"), float("nan"))
     drawn = np.empty(resamples)
     for i in range(resamples):
         arrays = []
@@ -117,8 +122,8 @@ def bootstrap(
         drawn[i] = statistic(*arrays)
     tail = (1.0 - level) / 2
     # Infinite times (nobody reached it) are values like others: no interpolation between them.
-    drawn = np.sort(np.where(np.isnan(drawn), value, drawn))
-    low, high = (drawn[round(q * (resamples - 1))] for q in (tail, 1.0 - tail))
+    drawn = np.sort(drawn[~np.isnan(drawn)])
+    low, high = (drawn[round(q * (len(drawn) - 1))] for q in (tail, 1.0 - tail))
     return Estimate(value, float(low), float(high))
 
 

@@ -91,6 +91,27 @@ def test_bootstrap_draws_the_runs_of_a_group_together_and_is_seeded():
     assert one == two
 
 
+def test_bootstrap_of_what_never_happened_has_no_interval():
+    time, never = np.array([10.0, 20.0]), np.array([False, False])
+    found = statistics.bootstrap(
+        statistics.expected_running_time, [(time, never)], np.random.default_rng(0)
+    )
+    assert found.value == np.inf
+    assert np.isnan([found.low, found.high]).all()
+
+
+def test_bootstrap_leaves_out_draws_that_say_nothing():
+    once = np.array([True, False])
+    found = statistics.bootstrap(
+        statistics.speed_up,
+        [(np.array([5.0, 10.0]), once), (np.array([8.0, 10.0]), once)],
+        np.random.default_rng(0),
+        resamples=500,
+    )
+    assert found.value == pytest.approx(18 / 15)
+    assert (found.low, found.high) == (0.0, np.inf)
+
+
 def test_a12_counts_wins_and_half_the_ties():
     assert statistics.a12(np.array([1.0, 2.0, 3.0]), np.array([2.0, 0.0])).value == pytest.approx(
         4.5 / 6
