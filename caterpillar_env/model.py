@@ -187,8 +187,8 @@ def build_model(
             their axes are then at different heights, and a neck lies halfway between its neighbours'.
         physics: material, numerics and number of segments.
         strengths: factor on each spring's force, shape (num_springs,).
-        scenery: whether it is to be drawn; light, sky and pattern of the ground make up a quarter of the
-            time that it takes to build, and more than half of the size.
+        scenery: whether it is to be drawn; camera, light, sky, pattern of the ground and legs make up a
+            third of the time that it takes to build, and more than half of the size.
 
     Returns:
         A model whose sizes depend on `physics.num_segments` alone. Bodies are `element0` (head) to
@@ -226,17 +226,12 @@ def build_model(
             _add_neck(element, segment, segments, p)
         _add_shell(element, index, m)
         if not plain:
-            _add_legs_and_anchors(element, segment, m)
+            _add_feet(element, segment, m, legs=scenery)
+            _add_anchors(element, segment, m, p.num_segments)
         parent = element
     _add_springs(spec, p, strengths)
-    half_length = segments[0].segment_length_m / ELEMENTS_PER_SEGMENT
-    body_length = sum(m.segment_length_m for m in segments)
-    # Beside the middle of the body, from far enough to have all of it in view.
-    spec.body("element0").add_camera(
-        name="track", mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM,
-        pos=[-body_length / 2 + half_length / 2, -1.7 * body_length, 0.75 * body_length],
-        xyaxes=[1, 0, 0, 0, 0.4, 0.92], fovy=40,
-    )  # fmt: skip
+    if scenery:
+        _add_camera(spec, segments)
     model = spec.compile()
     _trim_tendons(model)
     return model
@@ -317,6 +312,17 @@ def _add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
     ground.material = "ground"
 
 
+def _add_camera(spec: mujoco.MjSpec, segments: Sequence[Morphology]) -> None:
+    """Beside the middle of the body, from far enough to have all of it in view."""
+    half_length = segments[0].segment_length_m / ELEMENTS_PER_SEGMENT
+    body_length = sum(m.segment_length_m for m in segments)
+    spec.body("element0").add_camera(
+        name="track", mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM,
+        pos=[-body_length / 2 + half_length / 2, -1.7 * body_length, 0.75 * body_length],
+        xyaxes=[1, 0, 0, 0, 0.4, 0.92], fovy=40,
+    )  # fmt: skip
+
+
 def _add_shell(body: mujoco.MjsBody, index: int, m: Morphology) -> None:
     shade = 1.0 if index % ELEMENTS_PER_SEGMENT == 0 else 0.8
     colour = [0.95, 0.85, 0.3, 0.45] if index == 0 else [0.5 * shade, 0.8 * shade, 0.35 * shade, 0.45]
@@ -383,7 +389,8 @@ def _add_neck(body: mujoco.MjsBody, segment: int, segments: Sequence[Morphology]
     )  # fmt: skip
 
 
-def _add_legs_and_anchors(body: mujoco.MjsBody, segment: int, m: Morphology) -> None:
+def _add_feet(body: mujoco.MjsBody, segment: int, m: Morphology, *, legs: bool) -> None:
+    """Feet, and the legs between them and the body, which touch nothing and weigh nothing."""
     for side, sign in (("left", 1), ("right", -1)):
         lateral = sign * m.leg_separation_m / 2
         foot = [0, lateral, FOOT_RADIUS_M - 2 * m.segment_radius_m]
@@ -391,14 +398,23 @@ def _add_legs_and_anchors(body: mujoco.MjsBody, segment: int, m: Morphology) -> 
             name=f"foot{segment}_{side}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[FOOT_RADIUS_M, 0, 0],
             pos=foot, mass=0, rgba=[0.2, 0.2, 0.2, 1],
         )  # fmt: skip
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, lateral * 0.6, 0, *foot],
-            size=[0.0012, 0, 0], mass=0, conaffinity=0, rgba=[0.3, 0.35, 0.3, 1],
-        )  # fmt: skip
+        if legs:
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, lateral * 0.6, 0, *foot],
+                size=[0.0012, 0, 0], mass=0, conaffinity=0, rgba=[0.3, 0.35, 0.3, 1],
+            )  # fmt: skip
+
+
+def _add_anchors(body: mujoco.MjsBody, segment: int, m: Morphology, num_segments: int) -> None:
+    """Where springs end: at the front those to the segment behind, at the rear those to the one ahead.
+
+    x is measured away from the neighbour that the spring pulls on.
+    """
+    ends = [("front", 1)] if segment < num_segments - 1 else []
+    ends += [("rear", -1)] if segment > 0 else []
+    for side, sign in (("left", 1), ("right", -1)):
         for height, up in (("dorsal", 1), ("ventral", -1)):
-            for end, outboard in (("front", 1), ("rear", -1)):
-                # The front anchor holds the spring to the segment behind, the rear one that ahead:
-                # x is measured away from the neighbour that the spring pulls on.
+            for end, outboard in ends:
                 body.add_site(
                     name=f"anchor{segment}_{end}_{height}_{side}",
                     pos=[outboard * m.attachment_x_m, sign * m.attachment_z_m, up * m.attachment_y_m],
