@@ -27,6 +27,7 @@ _SUMMARIES = {
     "report": "write the figures and the page of a study",
     "replay": "simulate a recorded robot once more and make a video",
     "study": "run arms and seeds side by side, and compare them",
+    "rl": "train a policy by reinforcement learning, and look at it",
     "validate": "check the physics against closed forms, data sheets and finer timesteps",
 }
 

@@ -146,7 +146,7 @@ def _preset(argv: Sequence[str]) -> str:
 
 def _console() -> Console:
     """Where progress and remarks go; folders' names are no markup."""
-    return Console(stderr=True, markup=False, highlight=False)
+    return Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 
 def _unused(parent: Path, name: str) -> Path:

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 LEVEL = 0.95
-RESAMPLES = 9_999
+RESAMPLES = 4_999
 
 
 class Estimate(NamedTuple):
@@ -46,8 +46,7 @@ def kaplan_meier(time: Array, reached: Flags, level: float = LEVEL) -> Survival:
         reached: which of the two, (n,).
         level: of the interval.
     """
-    data = stats.CensoredData.right_censored(np.asarray(time, dtype=float), ~np.asarray(reached))
-    function = stats.ecdf(data).sf
+    function = _under_way(time, reached)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the interval is undefined where the share is 0 or 1
         interval = function.confidence_interval(level, method="log-log")
@@ -57,6 +56,12 @@ def kaplan_meier(time: Array, reached: Flags, level: float = LEVEL) -> Survival:
     # Brookmeyer and Crowley 1982: the median's interval is where the curve's covers one half.
     median = Estimate(*(_first_below(times, curve) for curve in (share, low, high)))
     return Survival(times, share, low, high, median)
+
+
+def _under_way(time: Array, reached: Flags) -> Any:
+    """SciPy's Kaplan-Meier estimate."""
+    data = stats.CensoredData.right_censored(np.asarray(time, dtype=float), ~np.asarray(reached))
+    return stats.ecdf(data).sf
 
 
 def _first_below(times: Array, share: Array) -> float:
@@ -83,10 +88,10 @@ def expected_running_time(time: Array, reached: Flags) -> float:
 
 def restricted_mean_time(time: Array, reached: Flags, horizon: float) -> float:
     """Mean time to the threshold, none counted as more than `horizon`: area below the survival curve."""
-    curve = kaplan_meier(time, reached)
-    inside = curve.time < horizon
-    edges = np.concatenate([[0.0], curve.time[inside], [horizon]])
-    heights = np.concatenate([[1.0], curve.share[inside]])
+    curve = _under_way(time, reached)
+    inside = curve.quantiles < horizon
+    edges = np.concatenate([[0.0], curve.quantiles[inside], [horizon]])
+    heights = np.concatenate([[1.0], curve.probabilities[inside]])
     return float(np.sum(np.diff(edges) * heights))
 
 

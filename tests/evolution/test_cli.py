@@ -123,7 +123,7 @@ def test_every_error_is_one_line_and_a_status(arguments, elsewhere, capsys):
 @pytest.mark.parametrize(
     ("arguments", "hint"),
     [
-        (["fly"], "choose from evolve, export, preprocess, replay, resume, runs, validate"),
+        (["fly"], "choose from evolve, export, preprocess, replay, report, resume"),
         (["evolve", "--bogus"], "--bogus"),
         (["evolve", "--population", "many"], "--population"),
         (["evolve", "--population", "-5"], "population = -5 must be at least 2"),

@@ -66,9 +66,8 @@ def test_an_exception_is_told_with_its_genome():
 
 
 def needs_ray(test):
-    """Slow, on one cluster of one test process, with Ray's own warnings let through."""
-    alone = pytest.mark.xdist_group("ray")
-    return pytest.mark.slow(pytest.mark.filterwarnings("default")(alone(test)))
+    """Slow, with Ray's own warnings let through."""
+    return pytest.mark.slow(pytest.mark.filterwarnings("default")(test))
 
 
 @pytest.fixture(scope="module")

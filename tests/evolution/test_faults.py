@@ -87,7 +87,6 @@ sys.exit(main())
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("ray")
 def test_ctrl_c_ends_a_run_on_ray_within_seconds_and_says_how_to_go_on(tmp_path):
     pytest.importorskip("ray")
     folder = tmp_path / "run"

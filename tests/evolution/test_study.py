@@ -13,9 +13,6 @@ from evolution.analysis import analyse, headline
 from evolution.cells import Processes, run_study, standing
 from evolution.study import Cell, Course, StudyConfig, StudyError
 
-#: One worker runs the study that most tests look at.
-pytestmark = pytest.mark.xdist_group("study")
-
 SMALL = {
     "seeds": [0, 1],
     "pilot_seeds": [8],

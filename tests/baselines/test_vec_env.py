@@ -1,0 +1,117 @@
+"""What stable-baselines3 expects of a `VecEnv`, and that its rows are our single environment."""
+
+import gymnasium
+import numpy as np
+import pytest
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+from baselines.vec_env import EPISODE_INFO, CaterpillarVecEnv
+
+SMALL = {"num_segments": 2, "timestep_s": 0.01}
+ID = "CaterpillarSMASwitch-v0"
+ROWS = 3
+
+
+def switches(space, count, seed=0):
+    return np.random.default_rng(seed).integers(0, 2, (count, ROWS, *space.shape)).astype(space.dtype)
+
+
+@pytest.fixture
+def env():
+    made = CaterpillarVecEnv(ID, ROWS, physics=SMALL, episode_s=1.0)
+    yield made
+    made.close()
+
+
+def test_rows_are_single_environments_seeded_one_after_the_other(env):
+    env.seed(5)
+    ours = env.reset()
+    actions = switches(env.action_space, 10)
+    singles = [gymnasium.make(ID, physics=SMALL, episode_s=1.0) for _ in range(ROWS)]
+    theirs = np.stack([single.reset(seed=5 + row)[0] for row, single in enumerate(singles)])
+    np.testing.assert_array_equal(ours, theirs)
+    for number in range(10):
+        ours, rewards, dones, infos = env.step(actions[number])
+        for row, single in enumerate(singles):
+            seen, reward, terminated, truncated, info = single.step(actions[number, row])
+            assert rewards[row] == np.float32(reward)
+            assert dones[row] == (terminated or truncated)
+            if dones[row]:
+                np.testing.assert_array_equal(infos[row]["terminal_observation"], seen)
+                assert infos[row]["TimeLimit.truncated"] is truncated
+                assert infos[row]["distance"] == info["distance"]
+            else:
+                np.testing.assert_array_equal(ours[row], seen)
+                assert infos[row] == {}
+    assert dones.all()
+
+
+def test_rows_that_end_start_anew_within_the_step(env):
+    first = env.reset()
+    for actions in switches(env.action_space, 10):
+        observations, _, dones, infos = env.step(actions)
+    assert dones.all()
+    np.testing.assert_array_equal(observations, first)
+    assert all(
+        set(info) == {*EPISODE_INFO, "terminal_observation", "TimeLimit.truncated"} for info in infos
+    )
+    observations, _, dones, _ = env.step(actions)
+    assert not dones.any()
+
+
+def test_failure_is_no_truncation():
+    env = CaterpillarVecEnv("CaterpillarSMA-v0", ROWS, physics={**SMALL, "friction": 0.0})
+    env.seed(0)
+    env.reset()
+    rng = np.random.default_rng(0)
+    seen = []
+    for _ in range(60):
+        _, _, dones, infos = env.step(rng.uniform(-1, 1, (ROWS, *env.action_space.shape)))
+        seen += [
+            (i["failure"], i["TimeLimit.truncated"]) for i, d in zip(infos, dones, strict=True) if d
+        ]
+    env.close()
+    assert {truncated for failure, truncated in seen if failure == "ok"} == {True}
+    assert {truncated for failure, truncated in seen if failure != "ok"} <= {False}
+    assert seen
+
+
+def test_seconds_of_all_rows_are_counted(env):
+    env.reset()
+    for actions in switches(env.action_space, 7):
+        env.step(actions)
+    assert env.simulated_s == pytest.approx(ROWS * 0.7)
+
+
+def test_body_given_in_the_options_comes_with_the_next_reset(env):
+    env.reset()
+    body = dict.fromkeys(("leg_separation_m",), 0.02)
+    nominal = env.get_attr("morphologies")[0][0]
+    env.set_options({"morphology": {**nominal.to_dict(), **body}})
+    env.reset()
+    assert {m.leg_separation_m for m in env.get_attr("morphologies")[0]} == {0.02}
+
+
+def test_attributes_are_of_all_rows(env):
+    assert env.get_attr("render_mode") == [None] * ROWS
+    assert len(env.get_attr("observation_names", indices=[0, 2])) == 2
+    assert env.env_is_wrapped(gymnasium.wrappers.TimeLimit) == [False] * ROWS
+    with pytest.raises(ValueError, match="all 3 rows at once"):
+        env.set_attr("render_mode", "rgb_array", indices=1)
+
+
+def test_monitor_and_normalisation_go_around_it(env):
+    wrapped = VecNormalize(VecMonitor(env), gamma=0.99)
+    wrapped.reset()
+    for actions in switches(env.action_space, 10):
+        observations, _, dones, infos = wrapped.step(actions)
+    assert dones.all()
+    assert [info["episode"]["l"] for info in infos] == [10] * ROWS
+    assert np.isfinite(observations).all()
+
+
+def test_pictures_of_rows():
+    env = CaterpillarVecEnv(ID, 2, physics=SMALL, render_mode="rgb_array", width=64, height=48)
+    env.reset()
+    assert [frame.shape for frame in env.get_images()] == [(48, 64, 3)] * 2
+    env.close()
