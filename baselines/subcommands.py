@@ -12,6 +12,7 @@ from rich.console import Console
 
 from baselines.training import Point, TrainConfig, crawl, load, train
 from evolution import cli
+from evolution.commands import unused
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ def train_command(argv: Sequence[str]) -> int:
     """`caterpillar rl train`."""
     args = cli.parse(TrainArgs, argv, "rl train", TrainArgs())
     config = args.config
-    folder = args.out or Path("runs") / f"{config.algorithm}-{config.mode}-seed{config.seed}"
+    folder = args.out or unused(Path("runs"), f"{config.algorithm}-{config.mode}-seed{config.seed}")
     console = Console(stderr=True, markup=False, highlight=False)
 
     def told(point: Point) -> None:
@@ -42,7 +43,10 @@ def train_command(argv: Sequence[str]) -> int:
     if not result.finished:
         console.print(f"stopped; the policies so far are in {folder}", soft_wrap=True)
         return 130
-    print(f"best: {1000 * result.best_m:.1f} mm in 30 s, in {folder}")
+    if result.best is None:
+        print(f"no policy kept its robot from failing, in {folder}")
+    else:
+        print(f"best: {1000 * result.best.distance_m:.1f} mm in 30 s, in {folder}")
     return 0
 
 

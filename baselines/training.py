@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
+import torch
 import yaml
 from numpy.typing import NDArray
 from sb3_contrib import ARS, TQC
@@ -20,7 +22,9 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.task import EPISODE_S
 
 AlgorithmName = Literal["ppo", "a2c", "sac", "tqc", "ars"]
 Mode = Literal["timing", "switch"]
@@ -56,8 +60,8 @@ class TrainConfig:
             if getattr(self, name) not in get_args(kind):
                 known = ", ".join(get_args(kind))
                 raise TrainingError(f"{name} = {getattr(self, name)!r} must be one of {known}")
-        if self.seed < 0:
-            raise TrainingError(f"seed = {self.seed} must not be negative")
+        if not 0 <= self.seed < 2**32:
+            raise TrainingError(f"seed = {self.seed} must be a whole number from 0 to {2**32 - 1}")
         if not 0 < self.budget_s < np.inf:
             raise TrainingError(
                 f"budget_s = {self.budget_s} must be a positive number of simulated seconds"
@@ -66,6 +70,7 @@ class TrainConfig:
             raise TrainingError(f"evaluations = {self.evaluations} must be at least 1")
         if self.morphology is not None:
             Morphology.of(self.morphology)
+        Physics.of(self.physics)
         hyperparameters(self)
 
     @property
@@ -109,7 +114,7 @@ class TrainResult(NamedTuple):
     """What a training leaves in memory; the folder holds the same and more."""
 
     points: list[Point]
-    best_m: float
+    best: Point | None  #: of policies whose robot did not fail, if there was one
     finished: bool
 
 
@@ -124,7 +129,8 @@ def train(
 
     Writes `config.json`, `evaluations.csv`, and after every evaluation `last.zip` (the policy) with
     `last_vecnormalize.pkl` (the normalisation that it needs); the best so far as `best` likewise.
-    A KeyboardInterrupt ends the training; what was kept stays.
+    A KeyboardInterrupt ends the training; what was kept stays. PyTorch runs on one thread, so that
+    results do not depend on how many there are. All global generators are seeded.
 
     Args:
         config: what to compute.
@@ -146,21 +152,39 @@ def train(
     gamma = settings.get("gamma", 0.99)
     if normalize:
         env = VecNormalize(env, gamma=gamma)
+    duty = settings.pop("initial_duty", None)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
     model = ALGORITHMS[config.algorithm](
         policy, env, seed=config.seed, device="cpu", verbose=0, **settings
     )
+    if duty is not None:
+        _start_with_duty(model, duty)
     keeper = _Keeper(config, folder, robots, env if normalize else None, on_point)
     finished = True
     try:
+        # The budget ends it, not the number of steps.
         model.learn(int(max(steps, 10 * config.budget_s)), callback=keeper)
+        keeper.evaluate()
     except _BudgetSpent:
-        pass
+        keeper.evaluate()
     except KeyboardInterrupt:
         finished = False
-    if finished:
-        keeper.evaluate()
-    env.close()
-    return TrainResult(keeper.points, keeper.best_m, finished)
+    finally:
+        torch.set_num_threads(threads)
+        keeper.close()
+        env.close()
+    return TrainResult(keeper.points, keeper.best, finished)
+
+
+def _start_with_duty(model: Any, duty: float) -> None:
+    """Let an untrained policy of switches power each spring for this share of the time.
+
+    Half of the time, redrawn ten times a second, would keep springs, which take seconds to cool, hot for
+    good: nothing would move, and nothing could be learned.
+    """
+    with torch.no_grad():
+        model.policy.action_net.bias.fill_(float(np.log(duty / (1.0 - duty))))
 
 
 class _Keeper(BaseCallback):
@@ -180,7 +204,11 @@ class _Keeper(BaseCallback):
         self._judge = config.environment(1)
         self._next_s = 0.0
         self.points: list[Point] = []
-        self.best_m = -np.inf
+        self.best: Point | None = None
+        self._kept: tuple[bool, float] = (False, -np.inf)
+        # What a step of all robots, one evaluation now and one at the end may take.
+        seconds = robots.num_envs * robots.get_attr("step_s")[0]
+        self._reserve_s = seconds + 2 * EPISODE_S
 
     @property
     def spent_s(self) -> float:
@@ -188,12 +216,16 @@ class _Keeper(BaseCallback):
         return self._robots.simulated_s + self._judge.simulated_s
 
     def _on_step(self) -> bool:
+        if self.spent_s + self._reserve_s > self._config.budget_s:
+            raise _BudgetSpent
         if self.spent_s >= self._next_s:
             self._next_s = self.spent_s + self._config.budget_s / self._config.evaluations
             self.evaluate()
-        if self.spent_s >= self._config.budget_s:
-            raise _BudgetSpent
         return True
+
+    def close(self) -> None:
+        """Free the robot that policies are judged by."""
+        self._judge.close()
 
     def evaluate(self) -> None:
         """Let the policy of this moment crawl, and keep it."""
@@ -203,11 +235,6 @@ class _Keeper(BaseCallback):
             self.spent_s, final["distance"], final["energy_j"], final["time_s"], final["failure"]
         )
         self.points.append(point)
-        self._save("last")
-        score = point.distance_m if point.failure == "ok" else min(point.distance_m, 0.0)
-        if score > self.best_m:
-            self.best_m = score
-            self._save("best")
         path = self._folder / "evaluations.csv"
         new = not path.exists()
         with path.open("a", newline="", encoding="utf-8") as file:
@@ -215,13 +242,24 @@ class _Keeper(BaseCallback):
             if new:
                 writer.writerow(Point._fields)
             writer.writerow(point)
+        self._save("last")
+        # A policy whose robot falls is never better than one whose robot does not.
+        score = (point.failure == "ok", point.distance_m)
+        if score > self._kept:
+            self._kept = score
+            self.best = point if score[0] else None
+            self._save("best")
         if self._told is not None:
             self._told(point)
 
     def _save(self, name: str) -> None:
-        self.model.save(self._folder / f"{name}.zip")
+        partial = self._folder / ".partial.zip"
+        self.model.save(partial)
         if self._normalizer is not None:
-            self._normalizer.save(str(self._folder / f"{name}_vecnormalize.pkl"))
+            statistics = self._folder / ".partial.pkl"
+            self._normalizer.save(str(statistics))
+            os.replace(statistics, self._folder / f"{name}_vecnormalize.pkl")
+        os.replace(partial, self._folder / f"{name}.zip")
 
 
 def crawl(

@@ -40,6 +40,7 @@ class CaterpillarVecEnv(VecEnv):
         self.render_mode = self._env.unwrapped.render_mode
         self._actions: NDArray[Any] | None = None
         super().__init__(num_envs, self._env.single_observation_space, self._env.single_action_space)
+        self.metadata = {**self.metadata, "render_fps": self._env.metadata["render_fps"]}
 
     @property
     def simulated_s(self) -> float:
@@ -49,6 +50,11 @@ class CaterpillarVecEnv(VecEnv):
     def reset(self) -> VecEnvObs:
         """Start all rows anew, with the seeds and options that were set."""
         seeds = self._seeds if any(seed is not None for seed in self._seeds) else None
+        if any(options != self._options[0] for options in self._options):
+            raise ValueError(
+                "options must be the same for all rows; give bodies as a list: "
+                'set_options({"morphology": [...]})'
+            )
         options = self._options[0] or None
         observations, _ = self._env.reset(seed=seeds, options=options)
         self.reset_infos = [{} for _ in range(self.num_envs)]

@@ -338,15 +338,20 @@ def _neck_offset(ahead: Morphology, behind: Morphology) -> list[float]:
     return [-length, 0.0, 2 * behind.segment_radius_m - 2 * ahead.segment_radius_m]
 
 
-def _spring_span(ahead: Morphology, behind: Morphology) -> float:
-    """Length of a spring between two segments of a straight body, m: L + 2x if they are alike."""
+def _pretension(ahead: Morphology, behind: Morphology, spring: SmaSpring) -> float:
+    """Pull along the body of the four cold springs between two segments of a straight body, N.
+
+    Springs are L + 2x long, and run along the body, where the segments are alike.
+    """
     along, _, up = _neck_offset(ahead, behind)
-    spaced = ahead.segment_length_m / 2 - along
-    return math.hypot(
-        spaced + (ahead.attachment_x_m + behind.attachment_x_m),
-        up + behind.attachment_y_m - ahead.attachment_y_m,
-        behind.attachment_z_m - ahead.attachment_z_m,
-    )
+    spaced = ahead.segment_length_m / 2 - along + (ahead.attachment_x_m + behind.attachment_x_m)
+    pull = 0.0
+    for height in (1, -1):  # dorsal, ventral; left and right are mirrored
+        rise = up + height * (behind.attachment_y_m - ahead.attachment_y_m)
+        length = math.hypot(spaced, rise, behind.attachment_z_m - ahead.attachment_z_m)
+        tension = spring.martensite_stiffness_n_m * (length - spring.martensite_rest_length_m)
+        pull += 2 * min(max(tension, 0.0), spring.force_limit_n) * (spaced / length)
+    return pull
 
 
 def _add_intra_segment_joints(
@@ -358,10 +363,7 @@ def _add_intra_segment_joints(
     # The body is moulded so that, cold, the springs' pre-tension just brings it to length L.
     stretch = 0.0
     if segment < p.num_segments - 1:
-        span = _spring_span(m, segments[segment + 1])
-        pretension = p.spring.martensite_stiffness_n_m * (span - p.spring.martensite_rest_length_m)
-        pull = SPRINGS_PER_GAP * min(max(pretension, 0.0), p.spring.force_limit_n)
-        stretch = pull / p.axial_stiffness_n_m
+        stretch = _pretension(m, segments[segment + 1], p.spring) / p.axial_stiffness_n_m
     body.add_joint(
         name=f"axial{segment}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[-1, 0, 0], pos=middle,
         stiffness=[p.axial_stiffness_n_m, 0, 0], damping=[p.axial_damping_n_s_m, 0, 0],

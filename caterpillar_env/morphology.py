@@ -45,7 +45,7 @@ for _bound in (LOWER, UPPER):
 
 @dataclass(frozen=True)
 class Morphology:
-    """The body of a robot; every segment is built alike.
+    """The eight parameters of a segment, and of a body whose segments are built alike.
 
     The paper's axes are x longitudinal, y vertical and z lateral. `attachment_x_m` is measured from
     the centre of a legged element away from the neighbour that the spring pulls on, so that a spring

@@ -89,6 +89,11 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         return self._episodes.observation_names
 
     @property
+    def step_s(self) -> float:
+        """Simulated length of a step, s."""
+        return self._episodes.step_s
+
+    @property
     def simulated_s(self) -> float:
         """Simulated seconds that all rows together have been stepped for."""
         return self._episodes.crawl.simulation.simulated_s

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ from evolution import statistics
 from evolution.individual import Individual, label
 from evolution.journal import Journal
 from evolution.statistics import Estimate
-from evolution.study import Cell, Course, StudyConfig, courses, is_finished
+from evolution.study import Cell, Course, StudyConfig, courses, is_finished, write_json
 
 Array = NDArray[np.float64]
 REFERENCE_TIMESTEP_S = 0.00025  #: see docs/physics.md
@@ -62,6 +62,7 @@ class Gain(NamedTuple):
 
     arm: str
     generation: int
+    runs: int  #: that got so far within the budget
     ratio: Estimate  #: of the medians
 
 
@@ -74,7 +75,9 @@ class Winner(NamedTuple):
     reference_m: float  #: at the reference timestep
     failure: str  #: there
     friction_m: tuple[float, float]  #: least and greatest over other frictions; a failure counts as 0
-    mismatch_m: tuple[float, float]  #: likewise over other draws of the springs' strengths
+    mismatch_m: tuple[float, float] | None  #: likewise over other draws of the springs' strengths
+    timestep_s: float  #: that it was evolved at
+    friction: float  #: likewise
 
     @property
     def artefact(self) -> bool:
@@ -152,20 +155,33 @@ def _times(config: StudyConfig, runs: dict[str, list[Course]], threshold_m: floa
                 runs=len(time),
                 reached=int(reached.sum()),
                 median_s=statistics.kaplan_meier(time, reached).median,
-                restricted_mean_s=statistics.bootstrap(
+                restricted_mean_s=_drawn(
                     lambda t, r: statistics.restricted_mean_time(t, r, config.budget_s),
                     [(time, reached)], rng, resamples=999,
                 ),
                 running_time_s=statistics.bootstrap(
                     statistics.expected_running_time, [(time, reached)], rng
                 ),
-                speed_up=statistics.bootstrap(statistics.speed_up, [(time, reached), reference], rng)
+                speed_up=_drawn(statistics.speed_up, [(time, reached), reference], rng)
                 if compare and reference is not None
                 else None,
                 log_rank_p=corrected.get(arm),
             )
         )  # fmt: skip
     return rows
+
+
+def _drawn(
+    statistic: Callable[..., float],
+    groups: list[tuple[Array, NDArray[np.bool_]]],
+    rng: np.random.Generator,
+    **kwargs: Any,
+) -> Estimate:
+    """The bootstrap; where nobody of a group arrives, drawing anew cannot tell how sure that is."""
+    if all(reached.any() for _, reached in groups):
+        return statistics.bootstrap(statistic, groups, rng, **kwargs)
+    value = statistic(*(array for group in groups for array in group))
+    return Estimate(value, float("nan"), float("nan"))
 
 
 def _finals(config: StudyConfig, runs: dict[str, list[Course]], frame: polars.DataFrame) -> list[Finals]:
@@ -192,7 +208,7 @@ def _finals(config: StudyConfig, runs: dict[str, list[Course]], frame: polars.Da
     rows = []
     for arm, by_seed in final.items():
         values = np.array(list(by_seed.values()))
-        mine = frame.filter((polars.col("arm") == arm) & polars.col("seed").is_in(config.seeds))
+        mine = within_budget(frame, config, arm)
         walls = mine.group_by("seed").first()["wall_s"].drop_nulls()
         rows.append(
             Finals(
@@ -212,16 +228,22 @@ def _finals(config: StudyConfig, runs: dict[str, list[Course]], frame: polars.Da
     return rows
 
 
+def within_budget(frame: polars.DataFrame, config: StudyConfig, arm: str) -> polars.DataFrame:
+    """The evaluations of an arm that count, with the simulated seconds `spent` by the end of each."""
+    mine = frame.filter((polars.col("arm") == arm) & polars.col("seed").is_in(config.seeds))
+    spent = polars.col("simulated_s").cum_sum().over("seed", order_by="evaluation")
+    return mine.with_columns(spent=spent).filter(polars.col("spent") <= config.budget_s)
+
+
 def _gains(config: StudyConfig, runs: dict[str, list[Course]]) -> list[Gain]:
     """Only arms of the reference's optimizer have generations that compare."""
     same = config.arms[config.reference]
-    at = {
-        arm: values
-        for arm, found in runs.items()
-        if (config.arms[arm].optimizer, config.arms[arm].ga) == (same.optimizer, same.ga)
-        and len(values := np.array([c.at_generation(config.generation) for c in found]))
-        and np.isfinite(values).all()
-    }
+    at = {}
+    for arm, found in runs.items():
+        if (config.arms[arm].optimizer, config.arms[arm].ga) == (same.optimizer, same.ga):
+            values = np.array([c.at_generation(config.generation) for c in found])
+            if np.isfinite(values).any():
+                at[arm] = values[np.isfinite(values)]
     base = at.get(config.reference)
     if base is None or np.median(base) <= 0:
         return []
@@ -230,6 +252,7 @@ def _gains(config: StudyConfig, runs: dict[str, list[Course]]) -> list[Gain]:
         Gain(
             arm,
             config.generation,
+            len(values),
             statistics.bootstrap(
                 lambda a, b: float(np.median(a) / np.median(b)) if np.median(b) > 0 else np.inf,
                 [(values,), (base,)],
@@ -263,16 +286,16 @@ def winners(config: StudyConfig, folder: Path) -> list[Winner]:
             kept.mkdir(exist_ok=True)
             robot.save(kept / f"{arm}.json")
             known[arm] = _look_again(arm, seed, robot)._asdict()
-            file.write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
+            write_json(file, known)
         found.append(_winner(known[arm]))
     return found
 
 
 def _best(config: StudyConfig, cell: Cell, folder: Path) -> tuple[int, Individual] | None:
     """A finished run's seed and best robot within the budget, if one crawled forwards."""
-    if not is_finished(cell, folder):
+    if not is_finished(config, cell, folder):
         return None
-    with Journal(cell.folder(folder)) as journal:
+    with Journal(cell.folder(folder), read_only=True) as journal:
         rows = list(journal.evaluations())
     spent_s = np.cumsum([row.simulated_s for row in rows])
     able = [
@@ -291,12 +314,13 @@ def _best(config: StudyConfig, cell: Cell, folder: Path) -> tuple[int, Individua
 
 
 def _winner(data: dict[str, Any]) -> Winner:
-    low_high = {name: tuple(data[name]) for name in ("friction_m", "mismatch_m")}
+    low_high = {name: data[name] and tuple(data[name]) for name in ("friction_m", "mismatch_m")}
     return Winner(**{**data, **low_high})
 
 
 def _look_again(arm: str, seed: int, robot: Individual) -> Winner:
     fine = robot.simulate(REFERENCE_TIMESTEP_S)
+    drawn = robot.physics.spring_strengths is None and robot.physics.mismatch_std > 0
 
     def swing(name: str, values: Sequence[float]) -> tuple[float, float]:
         others = [
@@ -313,7 +337,10 @@ def _look_again(arm: str, seed: int, robot: Individual) -> Winner:
         reference_m=float(fine.distance_m[0]),
         failure=label(fine.failure[0]),
         friction_m=swing("friction", FRICTIONS),
-        mismatch_m=swing("mismatch_seed", MISMATCH_SEEDS),
+        # Measured or equal springs are not drawn.
+        mismatch_m=swing("mismatch_seed", MISMATCH_SEEDS) if drawn else None,
+        timestep_s=robot.physics.timestep_s,
+        friction=robot.physics.friction,
     )
 
 
@@ -327,8 +354,10 @@ def headline(analysis: Analysis) -> list[str]:
             f"UNFINISHED: {len(analysis.missing)} of {len(config.cells())} runs are missing "
             f"({shown}{more}); what follows is of the others."
         )
-    if not analysis.thresholds_m:
+    if analysis.thresholds_m is None:
         said.append("The thresholds are not frozen yet: the pilot seeds are not through.")
+    elif not analysis.thresholds_m:
+        said.append("Most pilot runs of the reference never crawled forwards: there is nothing to time.")
     else:
         said += _races(analysis, analysis.thresholds_m[-1])
     reference = next((row for row in analysis.finals if row.arm == config.reference), None)
@@ -343,7 +372,7 @@ def headline(analysis: Analysis) -> list[str]:
         percent = [100 * (value - 1) for value in gain.ratio]
         said.append(
             f"{_role(config, gain.arm)} has {percent[0]:+.0f} % of distance at generation "
-            f"{gain.generation} ({percent[1]:+.0f} to {percent[2]:+.0f} %)."
+            f"{gain.generation} ({percent[1]:+.0f} to {percent[2]:+.0f} %; {gain.runs} runs)."
         )
     return said
 
@@ -395,6 +424,8 @@ def _role(config: StudyConfig, arm: str) -> str:
 def _times_faster(ratio: Estimate) -> str:
     if np.isnan(ratio.value):
         return "nobody of either arm gets there"
+    if ratio.value == 0:
+        return "as against the reference, which does get there"
     if np.isinf(ratio.value):
         return "and the reference never does"
     return f"{ratio.value:.2f} times as fast ({ratio.low:.2f} to {ratio.high:.2f})"

@@ -9,8 +9,10 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import multiprocessing.connection
+import os
 import signal
 import sqlite3
+import threading
 from collections.abc import Callable
 from contextlib import closing
 from multiprocessing.connection import Connection
@@ -35,7 +37,7 @@ class Standing(NamedTuple):
 def standing(folder: Path) -> Standing:
     """Read from the journal of a run, which may be running."""
     try:
-        with closing(sqlite3.connect(f"file:{folder / FILE}?mode=ro", uri=True, timeout=1.0)) as db:
+        with closing(sqlite3.connect(f"{(folder / FILE).resolve().as_uri()}?mode=ro", uri=True)) as db:
             spent, best = db.execute(
                 "SELECT total(simulated_s), max(CASE status WHEN 'ok' THEN distance_m ELSE 0 END) "
                 "FROM evaluations"
@@ -124,10 +126,19 @@ class Processes:
 
 def _in_process(config: dict[str, Any], folder: Path, said: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         run_cell(RunConfig.from_dict(config), folder)
     except Exception as error:
         said.send(f"{type(error).__name__}: {error}")
+
+
+def _end_with_parent() -> None:
+    """A study that was killed leaves no runs behind that would keep it from going on."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    multiprocessing.connection.wait([parent.sentinel])
+    os._exit(1)  # a journal loses nothing by it
 
 
 class RayTasks:
@@ -210,7 +221,7 @@ def run_study(
         The cells that failed, each with its error.
     """
     cells = config.cells()
-    waiting = [cell for cell in cells if not is_finished(cell, folder)]
+    waiting = [cell for cell in cells if not is_finished(config, cell, folder)]
     running: list[Cell] = []
     failed: list[tuple[Cell, str]] = []
     with workers:

@@ -105,7 +105,7 @@ def evolve_command(argv: Sequence[str]) -> int:
     """`caterpillar evolve`."""
     args = cli.parse(EvolveArgs, argv, "evolve", EvolveArgs(config=PRESETS[_preset(argv)]))
     config = args.config
-    folder = args.out or _unused(Path("runs"), f"{config.optimizer}-{config.prior}-seed{config.seed}")
+    folder = args.out or unused(Path("runs"), f"{config.optimizer}-{config.prior}-seed{config.seed}")
     console = _console()
     workers = args.workers
     with _Reporter(config, console) as reporter, workers.following(reporter, folder) as told:
@@ -149,7 +149,8 @@ def _console() -> Console:
     return Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 
-def _unused(parent: Path, name: str) -> Path:
+def unused(parent: Path, name: str) -> Path:
+    """A folder of this name that is not there yet, numbered if need be."""
     number = 1
     while (folder := parent / (name if number == 1 else f"{name}-{number}")).exists():
         number += 1

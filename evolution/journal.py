@@ -17,6 +17,7 @@ import json
 import os
 import platform
 import sqlite3
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from importlib.metadata import version
@@ -103,22 +104,24 @@ class Journal:
 
     Args:
         folder: the run folder.
+        read_only: only to look at it, which a process that writes may go on doing meanwhile.
 
     Raises:
         JournalError: there is none, it is in use, or of a newer version.
         JournalDamagedError: its file is damaged.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, read_only: bool = False) -> None:
         self.path = folder / FILE
         if not self.path.is_file():
             raise JournalError(f"{folder} holds no {FILE}: it is no run folder")
-        self._lock = _locked(folder)
+        self._lock = None if read_only else _locked(folder)
         try:
-            self._db = _opened(self.path)
+            self._db = _opened(self.path, read_only=read_only)
             self._check()
         except BaseException:
-            self._lock.close()
+            if self._lock is not None:
+                self._lock.close()
             raise
 
     @classmethod
@@ -152,7 +155,8 @@ class Journal:
     def close(self) -> None:
         """Give the file free for others."""
         self._db.close()
-        self._lock.close()
+        if self._lock is not None:
+            self._lock.close()
 
     def _check(self) -> None:
         try:
@@ -337,13 +341,15 @@ def _digest(values: Sequence[Any]) -> bytes:
     return state.digest()
 
 
-def _opened(path: Path) -> sqlite3.Connection:
+def _opened(path: Path, *, read_only: bool) -> sqlite3.Connection:
     """A connection that loses nothing that it has committed."""
     db = sqlite3.connect(path)
     try:
-        # Network file systems have no shared memory: there the mode stays a rollback journal.
-        db.execute("PRAGMA journal_mode = WAL")
-        db.execute("PRAGMA synchronous = FULL")
+        if not read_only:
+            # A write-ahead log needs memory that all readers share, which other machines do not.
+            mode = "DELETE" if _file_system(path) in _NETWORKED else "WAL"
+            db.execute(f"PRAGMA journal_mode = {mode}")
+            db.execute("PRAGMA synchronous = FULL")
     except sqlite3.DatabaseError as error:
         db.close()
         if "malformed" in str(error) or "not a database" in str(error):
@@ -355,17 +361,50 @@ def _opened(path: Path) -> sqlite3.Connection:
     return db
 
 
+_NETWORKED = {
+    "nfs", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "lustre", "beegfs", "gpfs", "ceph",
+    "glusterfs", "fuse.glusterfs", "afs",
+}  # fmt: skip
+_MOUNTS = Path("/proc/self/mounts")
+
+
+def _file_system(path: Path) -> str:
+    """Kind of the file system that holds a path; empty where the system does not tell."""
+    try:
+        mounts = [line.split(" ")[1:3] for line in _MOUNTS.read_text("utf-8").splitlines()]
+    except OSError:
+        return ""
+    where = path.resolve()
+    holding = [
+        (len(place), kind) for place, kind in mounts if where.is_relative_to(place.replace("\\040", " "))
+    ]
+    return max(holding, default=(0, ""))[1]
+
+
+def is_in_use(folder: Path) -> bool:
+    """Whether a process has the journal open to write."""
+    try:
+        with (folder / ".lock").open("r", encoding="utf-8") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
+    return False
+
+
 def _locked(folder: Path) -> IO[str]:
     """A lock that ends with this process, however it ends."""
     file = (folder / ".lock").open("w", encoding="utf-8")
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        file.close()
-        raise JournalError(
-            f"another process is working on {folder}; wait for it, or stop it, and try again"
-        ) from None
-    return file
+    for attempt in range(10):
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return file
+        except OSError:
+            if attempt < 9:
+                time.sleep(0.05)  # somebody who only looks has it for an instant
+    file.close()
+    raise JournalError(f"another process is working on {folder}; wait for it, or stop it, and try again")
 
 
 @contextmanager

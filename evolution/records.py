@@ -18,7 +18,7 @@ from caterpillar_env.errors import CaterpillarError
 from evolution import cli
 from evolution.genome import decode
 from evolution.individual import Individual
-from evolution.journal import FILE, Journal, JournalError, outcomes_of
+from evolution.journal import FILE, Journal, JournalError, is_in_use, outcomes_of
 from evolution.run import read_configuration, scores
 
 if TYPE_CHECKING:
@@ -31,11 +31,11 @@ def table(folder: Path) -> polars.DataFrame:
     """A row per evaluation of a run: outcome, fitness as the optimizer was told it, genes in SI units.
 
     Raises:
-        JournalError: no journal, in use by another process, damaged, or of a newer version.
+        JournalError: no journal, damaged, or of a newer version.
     """
     import polars
 
-    with Journal(folder) as journal:
+    with Journal(folder, read_only=True) as journal:
         config, _ = read_configuration(journal)
         rows = list(journal.evaluations())
     names = [g.name for g in config.genes()]
@@ -125,17 +125,16 @@ def _summary(folder: Path) -> dict[str, Any]:
     )
     row["run"] = str(folder)
     try:
-        with Journal(folder) as journal:
+        with Journal(folder, read_only=True) as journal:
             config, own = read_configuration(journal)
             evaluations = list(journal.evaluations())
             finished = journal.finished
     except JournalError as error:
-        busy = "another process" in str(error)
-        row["state"] = "running" if busy else str(error)
+        row["state"] = str(error)
         return row
     done = 1 + evaluations[-1].generation if evaluations else 0
     row |= {
-        "state": "finished" if finished else "stopped",
+        "state": "running" if is_in_use(folder) else "finished" if finished else "stopped",
         "optimizer": own or config.optimizer,
         "prior": config.prior,
         "seed": config.seed,

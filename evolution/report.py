@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from caterpillar_env.task import Failure
 from evolution import statistics
-from evolution.analysis import Analysis, Winner, arrival, headline
+from evolution.analysis import Analysis, Winner, arrival, headline, within_budget
 from evolution.preprocessor import paper_priors
 from evolution.run import RunConfig
 from evolution.statistics import Estimate
@@ -109,9 +109,7 @@ def failures(analysis: Analysis, frame: polars.DataFrame) -> Figure:
     for axis in axes[len(arms) :]:
         axis.set_axis_off()
     for axis, arm in zip(axes, arms, strict=False):
-        mine = frame.filter(
-            (polars.col("arm") == arm) & polars.col("seed").is_in(analysis.config.seeds)
-        ).with_columns(spent=polars.col("simulated_s").cum_sum().over("seed", order_by="evaluation"))
+        mine = within_budget(frame, analysis.config, arm)
         part = np.searchsorted(edges, mine["spent"].to_numpy(), side="left") - 1
         status = mine["failure"].to_numpy()
         number = np.array([np.count_nonzero(part == k) for k in range(10)])
@@ -218,7 +216,7 @@ def write(analysis: Analysis, frame: polars.DataFrame, winners: Sequence[Winner]
         "mm": lambda m: f"{1000 * m:.1f}",
         "seconds": lambda e: _interval(e, lambda s: f"{s:,.0f}"),
         "ratio": lambda e: _interval(e, lambda r: f"{r:.2f}"),
-        "p": lambda p: "" if p is None else (f"{p:.3f}" if p >= 0.001 else "&lt; 0.001"),
+        "p": lambda p: "" if p is None else ("&lt; 0.001" if p < 0.001 else f"{p:.3f}"),
     }
     page = folder / "report.html"
     page.write_text(

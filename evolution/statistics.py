@@ -52,7 +52,10 @@ def kaplan_meier(time: Array, reached: Flags, level: float = LEVEL) -> Survival:
         interval = function.confidence_interval(level, method="log-log")
     times, share = function.quantiles, function.probabilities
     low = np.where(np.isnan(interval.low.probabilities), share, interval.low.probabilities)
-    high = np.where(np.isnan(interval.high.probabilities), share, interval.high.probabilities)
+    high = np.where(np.isnan(interval.high.probabilities), 1.0, interval.high.probabilities)
+    # Where nobody is left the formula has no value; what is known is what was known before.
+    last = int(np.argmax(share == 0)) if np.any(share == 0) else len(share)
+    high[last:] = high[last - 1] if last else 1.0
     # Brookmeyer and Crowley 1982: the median's interval is where the curve's covers one half.
     median = Estimate(*(_first_below(times, curve) for curve in (share, low, high)))
     return Survival(times, share, low, high, median)
@@ -77,7 +80,10 @@ def log_rank(time_a: Array, reached_a: Flags, time_b: Array, reached_b: Flags) -
         stats.CensoredData.right_censored(np.asarray(t, dtype=float), ~np.asarray(r))
         for t, r in ((time_a, reached_a), (time_b, reached_b))
     )
-    return float(stats.logrank(first, second).pvalue)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # all at one moment: undefined, and telling nothing
+        p = float(stats.logrank(first, second).pvalue)
+    return p if np.isfinite(p) else 1.0
 
 
 def expected_running_time(time: Array, reached: Flags) -> float:

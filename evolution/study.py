@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import statistics
 import tomllib
@@ -21,8 +22,9 @@ import polars
 from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.task import EPISODE_S
 from evolution.evaluators import LocalEvaluator
-from evolution.journal import FILE, Journal
+from evolution.journal import FILE, Journal, JournalError
 from evolution.records import table
 from evolution.run import RunConfig, evolve, read_configuration, resume
 
@@ -82,8 +84,18 @@ class StudyConfig:
             raise StudyError(
                 f"reference = {self.reference!r} is no arm; arms are {', '.join(self.arms)}"
             )
-        if not 0 < self.budget_s < np.inf:
-            raise StudyError(f"budget_s = {self.budget_s!r} must be a positive number of seconds")
+        if not EPISODE_S <= self.budget_s < np.inf:
+            raise StudyError(
+                f"budget_s = {self.budget_s!r} must be at least {EPISODE_S:g}, the simulated seconds of "
+                "one evaluation"
+            )
+        if not isinstance(self.generation, int) or self.generation < 0:
+            raise StudyError(f"generation = {self.generation!r} must be a whole number from 0")
+        for arm in self.arms:
+            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", arm):
+                raise StudyError(
+                    f"an arm's name is a folder's too: letters, digits, '.', '_' and '-'; got {arm!r}"
+                )
         shares = self.threshold_shares
         if not shares or not all(0 < s < np.inf for s in shares):
             raise StudyError(f"threshold_shares must be positive numbers; got {list(shares)}")
@@ -184,7 +196,7 @@ def preset(name: str) -> StudyConfig:
 
 
 def begin(config: StudyConfig, folder: Path) -> None:
-    """Make the study's folder, or see that it holds the same study, perhaps with fewer arms or seeds.
+    """Make the study's folder, or see that it holds this study; arms and seeds may be added to it.
 
     Raises:
         StudyError: the folder holds something else, or cells of other settings.
@@ -207,9 +219,7 @@ def begin(config: StudyConfig, folder: Path) -> None:
                 "choose another folder with --out"
             )
     folder.mkdir(parents=True, exist_ok=True)
-    partial = folder / ".study.json.partial"
-    partial.write_text(json.dumps(config.to_dict(), indent=2) + "\n", encoding="utf-8")
-    os.replace(partial, file)
+    write_json(file, config.to_dict())
 
 
 def load(folder: Path) -> StudyConfig:
@@ -227,16 +237,29 @@ def load(folder: Path) -> StudyConfig:
     return StudyConfig.from_dict(data)
 
 
-def is_finished(cell: Cell, study: Path) -> bool:
-    """Whether a cell came to its end; a running one has not."""
+def is_finished(config: StudyConfig, cell: Cell, study: Path) -> bool:
+    """Whether a cell came to its end; a running one has not.
+
+    Raises:
+        StudyError: its run has other settings than the study asks for.
+    """
     folder = cell.folder(study)
     if not (folder / FILE).exists():
         return False
     try:
-        with Journal(folder) as journal:
+        with Journal(folder, read_only=True) as journal:
+            _same_settings(journal, config.run_config(cell), folder)
             return journal.finished
-    except CaterpillarError:
-        return False
+    except JournalError:
+        return False  # whoever runs it will say why
+
+
+def _same_settings(journal: Journal, config: RunConfig, folder: Path) -> None:
+    before, _ = read_configuration(journal)
+    if before != config:
+        raise StudyError(
+            f"{folder} was run with other settings; choose another folder for the study, or remove it"
+        )
 
 
 def run_cell(config: RunConfig, folder: Path) -> None:
@@ -247,56 +270,75 @@ def run_cell(config: RunConfig, folder: Path) -> None:
     """
     if not (folder / FILE).exists():
         shutil.rmtree(folder, ignore_errors=True)  # begun, but nothing evaluated
-        evolve(config, folder, evaluator=LocalEvaluator(1))
-        return
-    with Journal(folder) as journal:
-        before, _ = read_configuration(journal)
-        if before != config:
-            raise StudyError(
-                f"{folder} was run with other settings; choose another folder for the study"
-            )
-        if journal.finished:
-            return
-    resume(folder, evaluator=LocalEvaluator(1))
+        result = evolve(config, folder, evaluator=LocalEvaluator(1))
+    else:
+        with Journal(folder, read_only=True) as journal:
+            _same_settings(journal, config, folder)
+            if journal.finished:
+                return
+        result = resume(folder, evaluator=LocalEvaluator(1))
+    if not result.finished:
+        raise StudyError(f"{folder} was interrupted; it goes on when the study is started again")
 
 
 def collect(config: StudyConfig, folder: Path) -> tuple[polars.DataFrame, list[Cell]]:
     """All evaluations of the finished cells in one table, and the cells that are not finished.
 
-    Where the runs themselves are not there, but the table that an earlier call left is, it is read.
+    Of runs that are not there, what the table of an earlier call holds is kept.
     """
-    if not (folder / "cells").exists() and (folder / DATA).exists():
-        frame = polars.read_parquet(folder / DATA)
-        there = {Cell(arm, seed) for arm, seed in frame.select("arm", "seed").unique().iter_rows()}
-        return frame, [cell for cell in config.cells() if cell not in there]
-    parts, missing = [], []
+    file = folder / DATA
+    kept = dict(_cells(polars.read_parquet(file))) if file.exists() else {}
+    parts, missing, new = [], [], False
     for cell in config.cells():
-        if not is_finished(cell, folder):
-            missing.append(cell)
+        if not is_finished(config, cell, folder):
+            if cell in kept:
+                parts.append(kept[cell])
+            else:
+                missing.append(cell)
             continue
+        new = True
         rows = table(cell.folder(folder)).drop("session", "fitness")
         outcome = rows.columns[: rows.columns.index("simulated_s") + 1]
         genes = [polars.col(name).cast(polars.Float32) for name in rows.columns[len(outcome) :]]
-        who = (polars.lit(cell.arm).alias("arm"), polars.lit(cell.seed).alias("seed"))
+        who = (polars.lit(cell.arm).alias("arm"), polars.lit(cell.seed, polars.Int64).alias("seed"))
         wall_s = polars.lit(_wall_s(cell.folder(folder)), polars.Float64).alias("wall_s")
         parts.append(rows.select(*who, wall_s, *outcome, *genes))
     frame = polars.concat(parts, how="diagonal") if parts else polars.DataFrame()
-    if parts:
-        frame.write_parquet(folder / DATA, compression="zstd", compression_level=19)
+    if new:
+        partial = folder / f".{DATA}.partial"
+        frame.write_parquet(partial, compression="zstd", compression_level=19)
+        os.replace(partial, file)
     return frame, missing
 
 
 def _wall_s(folder: Path) -> float | None:
     """Wall time of a run that was never interrupted, s."""
-    with Journal(folder) as journal:
+    with Journal(folder, read_only=True) as journal:
         return journal.wall_s
+
+
+def versions(config: StudyConfig, folder: Path) -> list[dict[str, str]]:
+    """The different versions and machines that finished cells ran under: one, if all compare."""
+    found: list[dict[str, str]] = []
+    for cell in config.cells():
+        if is_finished(config, cell, folder):
+            with Journal(cell.folder(folder), read_only=True) as journal:
+                found += [one for one in journal.sessions if one not in found]
+    return found
+
+
+def write_json(file: Path, data: Any) -> None:
+    """Write a file whole or not at all."""
+    partial = file.with_name(f".{file.name}.partial")
+    partial.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    os.replace(partial, file)
 
 
 def thresholds(config: StudyConfig, folder: Path, frame: polars.DataFrame) -> list[float] | None:
     """The distances (m) that runs are timed to: frozen when the pilot seeds are through, and kept.
 
     Returns:
-        None as long as they are not.
+        None as long as they are not; none at all if most pilot runs never crawled forwards.
     """
     file = folder / "thresholds.json"
     if file.exists():
@@ -309,13 +351,10 @@ def thresholds(config: StudyConfig, folder: Path, frame: polars.DataFrame) -> li
         return None
     middle = statistics.median(finals)
     if middle <= 0:
-        raise StudyError(
-            "no pilot run of the reference arm crawled forwards: there is nothing to time; raise "
-            "budget_s"
-        )
+        return []
     found = [float(share * middle) for share in config.threshold_shares]
     data = {"thresholds_m": found, "reference": config.reference, "pilot_seeds": config.pilot_seeds}
-    file.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    write_json(file, data)
     return found
 
 
@@ -326,6 +365,7 @@ class Course(NamedTuple):
     spent_s: Array  #: simulated seconds after each evaluation, (E,)
     best_m: Array  #: best distance so far, (E,)
     generation: NDArray[np.int64]  #: of each evaluation, (E,)
+    generations: int  #: that were through within the budget
 
     def reaches(self, distance_m: float, horizon_s: float) -> tuple[float, bool]:
         """When it gets that far, s, and True; or `horizon_s` and False."""
@@ -333,8 +373,8 @@ class Course(NamedTuple):
         return (float(self.spent_s[there[0]]), True) if there.size else (horizon_s, False)
 
     def at_generation(self, number: int) -> float:
-        """Best distance by the end of a generation, m; NaN if the budget ended before."""
-        if not len(self.generation) or self.generation[-1] < number:
+        """Best distance by the end of a generation, m; NaN if the budget ended before that."""
+        if number >= self.generations:
             return float("nan")
         return float(self.best_m[np.searchsorted(self.generation, number, side="right") - 1])
 
@@ -349,6 +389,8 @@ def courses(
             continue
         spent = np.cumsum(rows["simulated_s"].to_numpy())
         inside = spent <= config.budget_s
+        generation = rows["generation"].to_numpy()
+        through = int(generation[len(spent[inside])]) if not inside.all() else int(generation[-1]) + 1
         healthy = (rows["failure"] == "ok").to_numpy()
         crawled = np.where(healthy, np.maximum(rows["distance_m"].to_numpy(), 0.0), 0.0)
         found[arm].append(
@@ -356,14 +398,15 @@ def courses(
                 seed,
                 spent[inside],
                 np.maximum.accumulate(crawled)[inside],
-                rows["generation"].to_numpy()[inside],
+                generation[inside],
+                through,
             )
         )
     return found
 
 
-def _cells(frame: polars.DataFrame) -> Iterator[tuple[tuple[str, int], polars.DataFrame]]:
+def _cells(frame: polars.DataFrame) -> Iterator[tuple[Cell, polars.DataFrame]]:
     if frame.is_empty():
         return
     for (arm, seed), rows in frame.group_by("arm", "seed", maintain_order=True):
-        yield (str(arm), int(seed)), rows.sort("evaluation")
+        yield Cell(str(arm), int(seed)), rows.sort("evaluation")

@@ -144,6 +144,13 @@ def _report(folder: Path, console: Console, *, look_again: bool) -> None:
             f"{folder}"
         )
     found = analysis.analyse(config, frame, missing, study.thresholds(config, folder, frame))
+    different = study.versions(config, folder)
+    if len(different) > 1:
+        console.print(
+            f"warning: runs were made under {len(different)} different sets of versions or machines "
+            "(table sessions of their journals): bits differ, and perhaps more",
+            soft_wrap=True,
+        )
     if look_again:
         console.print("looking at the best robots again ...")
     best = analysis.winners(config, folder) if look_again else []

@@ -115,3 +115,9 @@ def test_pictures_of_rows():
     env.reset()
     assert [frame.shape for frame in env.get_images()] == [(48, 64, 3)] * 2
     env.close()
+
+
+def test_options_of_single_rows_are_refused_and_bodies_may_differ(env):
+    env.set_options([{}, {"morphology": None}, {}])
+    with pytest.raises(ValueError, match="must be the same for all rows"):
+        env.reset()

@@ -14,7 +14,7 @@ import pytest
 
 from caterpillar_env.task import Failure
 from evolution.fitness import Outcomes
-from evolution.journal import FILE, Journal, JournalDamagedError, JournalError
+from evolution.journal import FILE, Journal, JournalDamagedError, JournalError, is_in_use
 
 CONFIGURATION = {"seed": 3, "generations": 2}
 
@@ -213,3 +213,30 @@ def test_killed_in_the_middle_of_writing_loses_nothing_committed(tmp_path, trial
     assert len(rows) >= (committed[-2] if len(committed) > 1 else 5)
     assert len(rows) % 5 == 0
     shutil.rmtree(tmp_path)
+
+
+# Where it lies
+
+
+@pytest.mark.parametrize(
+    ("mounts", "mode"),
+    [("dev / ext4 rw 0 0\n", "wal"), ("dev / ext4 rw 0 0\nserver {} nfs4 rw 0 0\n", "delete")],
+)
+def test_network_file_systems_get_a_rollback_journal(tmp_path, monkeypatch, mounts, mode):
+    table = tmp_path / "mounts"
+    table.write_text(mounts.format(tmp_path / "far"))
+    monkeypatch.setattr("evolution.journal._MOUNTS", table)
+    folder = tmp_path / "far" / "run"
+    folder.mkdir(parents=True)
+    with Journal.create(folder, {}) as journal:
+        assert journal._db.execute("PRAGMA journal_mode").fetchone() == (mode,)
+
+
+def test_a_journal_can_be_looked_at_while_it_is_written(tmp_path):
+    with Journal.create(tmp_path, {"a": 1}) as journal:
+        journal.begin()
+        with Journal(tmp_path, read_only=True) as other:
+            assert other.configuration == {"a": 1}
+            assert len(other.sessions) == 1
+        assert is_in_use(tmp_path)
+    assert not is_in_use(tmp_path)

@@ -30,6 +30,12 @@ def test_kaplan_meier_of_the_textbooks_example():
     assert statistics.kaplan_meier(PLACEBO, ALL).median.value == 8
 
 
+def test_few_runs_that_all_arrive_do_not_bound_the_median_from_above():
+    curve = statistics.kaplan_meier(np.array([10.0, 20.0, 30.0]), np.ones(3, dtype=bool))
+    assert curve.median == (20.0, 10.0, np.inf)
+    assert curve.high[-1] == curve.high[-2] > 0.5
+
+
 def test_median_that_nobody_reached_is_infinite():
     curve = statistics.kaplan_meier(np.array([5.0, 5.0, 3.0]), np.array([False, False, True]))
     assert curve.median.value == np.inf
@@ -43,6 +49,11 @@ def test_log_rank_of_the_textbooks_example():
 def test_log_rank_of_groups_that_never_arrive_tells_nothing():
     none = np.zeros(3, dtype=bool)
     assert statistics.log_rank(np.ones(3), none, np.ones(3), none) == 1.0
+
+
+def test_log_rank_of_arrivals_at_one_moment_tells_nothing():
+    yes = np.ones(1, dtype=bool)
+    assert statistics.log_rank(np.array([30.0]), yes, np.array([30.0]), yes) == 1.0
 
 
 def test_expected_running_time_counts_the_time_of_the_unsuccessful():

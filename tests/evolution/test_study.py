@@ -2,6 +2,10 @@
 
 import json
 import re
+import shutil
+import subprocess
+import sys
+import time
 
 import numpy as np
 import polars
@@ -11,6 +15,7 @@ from caterpillar_env.errors import CaterpillarError
 from evolution import cli, study
 from evolution.analysis import analyse, headline
 from evolution.cells import Processes, run_study, standing
+from evolution.journal import Journal, is_in_use
 from evolution.study import Cell, Course, StudyConfig, StudyError
 
 SMALL = {
@@ -112,8 +117,14 @@ def test_cells_of_a_seed_differ_in_their_arm_alone():
         (changed(seeds=3), "seeds must be a list; got 3"),
         (changed(pilot_seeds=[0]), "seeds [0] are pilot seeds too"),
         (changed(reference="best"), "reference = 'best' is no arm; arms are ga-uniform"),
-        (changed(budget_s=0), "budget_s = 0 must be a positive number"),
+        (
+            changed(budget_s=0),
+            "budget_s = 0 must be at least 30",
+        ),
         (changed(threshold_shares=[]), "threshold_shares must be positive"),
+        (changed(generation="x"), "generation = 'x' must be a whole number"),
+        (changed(arms={"a/b": {}}), "reference = 'ga-uniform' is no arm"),
+        (changed(arms={**SMALL["arms"], "a/b": {}}), "an arm's name is a folder's too"),
         (changed(luck=1), "a study has no luck; it has base, arms, budget_s"),
         ({k: v for k, v in SMALL.items() if k != "seeds"}, "a study needs seeds"),
         (changed(arms={"ga-uniform": {"seed": 3}}), "seed is the study's to say"),
@@ -180,7 +191,7 @@ def test_a_run_that_fails_is_told_and_keeps_none_of_the_others(finished, tmp_pat
     ((cell, error),) = run_study(config, tmp_path, Processes(2))
     assert cell == Cell("ga-uniform", 8)
     assert "is damaged" in error
-    assert study.is_finished(Cell("ga-uniform", 0), tmp_path)
+    assert study.is_finished(config, Cell("ga-uniform", 0), tmp_path)
 
 
 def test_progress_of_a_run_is_read_from_outside(finished):
@@ -200,6 +211,55 @@ def test_another_study_in_the_same_folder_is_refused(finished):
     arms = {**SMALL["arms"], "cma-es": {"optimizer": "random"}}
     with pytest.raises(StudyError, match=r"a study with other arms\.cma-es"):
         study.begin(StudyConfig.from_dict(changed(arms=arms)), finished)
+
+
+def test_cells_of_other_settings_are_never_taken_for_this_studys(finished, tmp_path):
+    shutil.copytree(finished, tmp_path / "copy")
+    arms = {"ga-uniform": SMALL["arms"]["ga-uniform"]}
+    fewer = StudyConfig.from_dict(changed(arms=arms))
+    study.begin(fewer, tmp_path / "copy")
+    other = StudyConfig.from_dict(changed(arms={**arms, "cma-es": {"optimizer": "random"}}))
+    study.begin(other, tmp_path / "copy")
+    with pytest.raises(StudyError, match=r"cma-es/seed-0 was run with other settings"):
+        study.collect(other, tmp_path / "copy")
+
+
+def test_table_never_loses_runs_that_are_not_there_any_more(finished, tmp_path):
+    shutil.copytree(finished, tmp_path / "copy")
+    config = study.load(finished)
+    for cell in config.cells()[1:]:
+        shutil.rmtree(cell.folder(tmp_path / "copy"))
+    frame, missing = study.collect(config, tmp_path / "copy")
+    assert not missing
+    key = ["arm", "seed", "evaluation"]
+    assert frame.sort(key).equals(study.collect(config, finished)[0].sort(key))
+
+
+def test_looking_at_a_study_does_not_disturb_its_runs(finished):
+    config = study.load(finished)
+    with Journal(config.cells()[0].folder(finished)):
+        assert study.is_finished(config, config.cells()[0], finished)
+        assert study.collect(config, finished)[1] == []
+        assert cli.main(["report", str(finished), "--no-winners"]) == 0
+    assert len(study.versions(config, finished)) == 1
+
+
+@pytest.mark.slow
+def test_runs_of_a_study_that_is_killed_end_with_it(tmp_path):
+    (tmp_path / "small.toml").write_text(TOML)
+    parent = subprocess.Popen(
+        [sys.executable, "-c", "from evolution.cli import main; main(['study', 'small.toml'])"],
+        cwd=tmp_path,
+    )
+    cell = tmp_path / "studies" / "small" / "cells" / "ga-uniform" / "seed-8"
+    while not is_in_use(cell):
+        time.sleep(0.02)
+    parent.kill()
+    parent.wait()
+    deadline = time.monotonic() + 20
+    while is_in_use(cell) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not is_in_use(cell)
 
 
 def test_folder_of_something_else_is_refused(tmp_path):
@@ -234,7 +294,11 @@ def test_pilot_seeds_are_in_no_table(finished):
 
 def test_course_of_a_run():
     course = Course(
-        0, np.array([10.0, 20.0, 35.0, 50.0]), np.array([0.0, 0.01, 0.01, 0.03]), np.array([0, 0, 1, 1])
+        0,
+        np.array([10.0, 20.0, 35.0, 50.0]),
+        np.array([0.0, 0.01, 0.01, 0.03]),
+        np.array([0, 0, 1, 1]),
+        2,
     )
     assert course.reaches(0.01, 99.0) == (20.0, True)
     assert course.reaches(0.02, 99.0) == (50.0, True)
@@ -244,7 +308,7 @@ def test_course_of_a_run():
 
 
 def test_evaluations_beyond_the_budget_do_not_count():
-    config = StudyConfig.from_dict(changed(budget_s=25))
+    config = StudyConfig.from_dict(changed(budget_s=30))
     frame = polars.DataFrame(
         {
             "arm": ["cma-es"] * 4,
@@ -253,11 +317,12 @@ def test_evaluations_beyond_the_budget_do_not_count():
             "generation": [0, 0, 1, 1],
             "failure": ["ok", "tipped", "ok", "ok"],
             "distance_m": [0.01, 0.5, -0.2, 0.9],
-            "simulated_s": [10.0, 4.0, 10.0, 10.0],
+            "simulated_s": [10.0, 4.0, 16.0, 10.0],
         }
     )  # fmt: skip
     (course,) = study.courses(frame, config, (0, 1))["cma-es"]
-    assert course.spent_s.tolist() == [10.0, 14.0, 24.0]
+    assert course.spent_s.tolist() == [10.0, 14.0, 30.0]
+    assert course.generations == 1  # the second is not through
     assert course.best_m.tolist() == [0.01, 0.01, 0.01]
 
 
