@@ -14,7 +14,7 @@ import pytest
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli, study
 from evolution.analysis import analyse, headline
-from evolution.cells import Processes, run_study, standing
+from evolution.cells import Processes, RayTasks, run_study, standing
 from evolution.journal import Journal, is_in_use
 from evolution.study import Cell, Course, StudyConfig, StudyError
 
@@ -260,6 +260,20 @@ def test_runs_of_a_study_that_is_killed_end_with_it(tmp_path):
     while is_in_use(cell) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert not is_in_use(cell)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+def test_cells_on_ray_give_the_same_bits(finished, tmp_path):
+    pytest.importorskip("ray")
+    arms = {"ga-uniform": SMALL["arms"]["ga-uniform"]}
+    config = StudyConfig.from_dict(changed(arms=arms, seeds=[0]))
+    study.begin(config, tmp_path / "ray")
+    assert run_study(config, tmp_path / "ray", RayTasks()) == []
+    ours, missing = study.collect(config, tmp_path / "ray")
+    theirs, _ = study.collect(config, finished)
+    assert not missing
+    assert ours.drop("wall_s").equals(theirs.drop("wall_s"))
 
 
 def test_folder_of_something_else_is_refused(tmp_path):
