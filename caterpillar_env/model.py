@@ -8,7 +8,7 @@ hinge with a viscoelastic moment (Saunders 2009, section III and fig. 7).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal, TypeVar
 
@@ -194,7 +194,56 @@ def build_model(
         A model whose sizes depend on `physics.num_segments` alone. Bodies are `element0` (head) to
         `element{2N-1}`; tendons and actuators carry `gait.spring_names`; control is xi in [0, 1].
     """
-    p, segments = physics, segments_of(body, physics.num_segments)
+    return ModelBuilder(physics, strengths, scenery=scenery).build(body)
+
+
+class ModelBuilder:
+    """Compiles robots that differ in their bodies alone; arguments are those of `build_model`.
+
+    To describe a robot to MuJoCo takes longer than to compile it; so the description is kept, and only
+    what depends on the body is written into it anew.
+    """
+
+    def __init__(
+        self, physics: Physics, strengths: NDArray[np.float64], *, scenery: bool = True
+    ) -> None:
+        self._physics, self._strengths, self._scenery = physics, strengths, scenery
+        self._spec: mujoco.MjSpec | None = None
+        self._parts: list[Any] = []  # in the order of making
+
+    def build(self, body: Body) -> mujoco.MjModel:
+        """Compile one robot."""
+        p = self._physics
+        segments = segments_of(body, p.num_segments)
+        if self._spec is None:
+            self._spec = _new_spec(p, scenery=self._scenery)
+            _add_robot(self._spec, segments, p, self._make, legs=self._scenery)
+            _add_springs(self._spec, p, self._strengths)
+        else:
+            known = iter(self._parts)
+
+            def change(_add: Any, _fixed: dict[str, Any], **own: Any) -> Any:
+                part = next(known)
+                for name, value in own.items():
+                    setattr(part, name, value)
+                return part
+
+            _add_robot(self._spec, segments, p, change, legs=self._scenery)
+        model = self._spec.compile()
+        _trim_tendons(model)
+        return model
+
+    def _make(self, add: Any, fixed: dict[str, Any], **own: Any) -> Any:
+        part = add(**fixed, **own)
+        self._parts.append(part)
+        return part
+
+
+#: Called with a method that adds a part, what is the same in all bodies, and what depends on the body.
+Make = Callable[..., Any]
+
+
+def _new_spec(p: Physics, *, scenery: bool) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     _set_options(spec, p)
@@ -205,7 +254,12 @@ def build_model(
     )  # fmt: skip
     if scenery:
         _add_scenery(spec, ground)
+    return spec
 
+
+def _add_robot(
+    spec: mujoco.MjSpec, segments: Sequence[Morphology], p: Physics, make: Make, *, legs: bool
+) -> None:
     parent = spec.worldbody
     for index in range(p.num_segments * ELEMENTS_PER_SEGMENT):
         segment, plain = divmod(index, ELEMENTS_PER_SEGMENT)
@@ -217,24 +271,20 @@ def build_model(
             position = [-m.segment_length_m / 2, 0.0, 0.0]
         else:
             position = _neck_offset(segments[segment - 1], m)
-        element = parent.add_body(name=f"element{index}", pos=position)
+        element = make(parent.add_body, {"name": f"element{index}"}, pos=position)
         if index == 0:
-            element.add_freejoint(name="root")
+            make(element.add_freejoint, {"name": "root"})
         elif plain:
-            _add_intra_segment_joints(element, segment, segments, p)
+            _add_intra_segment_joints(element, segment, segments, p, make)
         else:
-            _add_neck(element, segment, segments, p)
-        _add_shell(element, index, m)
+            _add_neck(element, segment, segments, p, make)
+        _add_shell(element, index, m, make)
         if not plain:
-            _add_feet(element, segment, m, legs=scenery)
-            _add_anchors(element, segment, m, p.num_segments)
+            _add_feet(element, segment, m, make, legs=legs)
+            _add_anchors(element, segment, m, p.num_segments, make)
         parent = element
-    _add_springs(spec, p, strengths)
-    if scenery:
-        _add_camera(spec, segments)
-    model = spec.compile()
-    _trim_tendons(model)
-    return model
+    if legs:
+        _add_camera(spec, segments, make)
 
 
 def _trim_tendons(model: mujoco.MjModel) -> None:
@@ -312,24 +362,29 @@ def _add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
     ground.material = "ground"
 
 
-def _add_camera(spec: mujoco.MjSpec, segments: Sequence[Morphology]) -> None:
+def _add_camera(spec: mujoco.MjSpec, segments: Sequence[Morphology], make: Make) -> None:
     """Beside the middle of the body, from far enough to have all of it in view."""
     half_length = segments[0].segment_length_m / ELEMENTS_PER_SEGMENT
     body_length = sum(m.segment_length_m for m in segments)
-    spec.body("element0").add_camera(
-        name="track", mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM,
+    make(
+        spec.body("element0").add_camera,
+        {
+            "name": "track", "mode": mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM, "fovy": 40,
+            "xyaxes": [1, 0, 0, 0, 0.4, 0.92],
+        },
         pos=[-body_length / 2 + half_length / 2, -1.7 * body_length, 0.75 * body_length],
-        xyaxes=[1, 0, 0, 0, 0.4, 0.92], fovy=40,
     )  # fmt: skip
 
 
-def _add_shell(body: mujoco.MjsBody, index: int, m: Morphology) -> None:
+def _add_shell(body: mujoco.MjsBody, index: int, m: Morphology, make: Make) -> None:
     shade = 1.0 if index % ELEMENTS_PER_SEGMENT == 0 else 0.8
     colour = [0.95, 0.85, 0.3, 0.45] if index == 0 else [0.5 * shade, 0.8 * shade, 0.35 * shade, 0.45]
-    body.add_geom(
-        name=f"shell{index}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[m.segment_radius_m, 0, 0],
-        mass=m.segment_mass_kg / ELEMENTS_PER_SEGMENT, rgba=colour,
-    )  # fmt: skip
+    make(
+        body.add_geom,
+        {"name": f"shell{index}", "type": mujoco.mjtGeom.mjGEOM_SPHERE, "rgba": colour},
+        size=[m.segment_radius_m, 0, 0],
+        mass=m.segment_mass_kg / ELEMENTS_PER_SEGMENT,
+    )
 
 
 def _neck_offset(ahead: Morphology, behind: Morphology) -> list[float]:
@@ -355,7 +410,7 @@ def _pretension(ahead: Morphology, behind: Morphology, spring: SmaSpring) -> flo
 
 
 def _add_intra_segment_joints(
-    body: mujoco.MjsBody, segment: int, segments: Sequence[Morphology], p: Physics
+    body: mujoco.MjsBody, segment: int, segments: Sequence[Morphology], p: Physics, make: Make
 ) -> None:
     m = segments[segment]
     middle = [m.segment_length_m / 4, 0, 0]
@@ -364,50 +419,69 @@ def _add_intra_segment_joints(
     stretch = 0.0
     if segment < p.num_segments - 1:
         stretch = _pretension(m, segments[segment + 1], p.spring) / p.axial_stiffness_n_m
-    body.add_joint(
-        name=f"axial{segment}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[-1, 0, 0], pos=middle,
-        stiffness=[p.axial_stiffness_n_m, 0, 0], damping=[p.axial_damping_n_s_m, 0, 0],
-        springref=stretch,
-        range=[-travel, travel],
+    make(
+        body.add_joint,
+        {
+            "name": f"axial{segment}", "type": mujoco.mjtJoint.mjJNT_SLIDE, "axis": [-1, 0, 0],
+            "stiffness": [p.axial_stiffness_n_m, 0, 0], "damping": [p.axial_damping_n_s_m, 0, 0],
+        },
+        pos=middle, springref=stretch, range=[-travel, travel],
     )  # fmt: skip
-    body.add_joint(
-        name=f"bend{segment}", type=mujoco.mjtJoint.mjJNT_HINGE, pos=middle,
-        axis=_CHOICES["bend_axis"][p.bend_axis],
-        stiffness=[p.bend_ratio * p.neck_stiffness_n_m_rad, 0, 0],
-        damping=[p.bend_ratio * p.neck_damping_n_m_s_rad, 0, 0],
-        range=[-m.joint_limit_rad, m.joint_limit_rad],
+    make(
+        body.add_joint,
+        {
+            "name": f"bend{segment}", "type": mujoco.mjtJoint.mjJNT_HINGE,
+            "axis": _CHOICES["bend_axis"][p.bend_axis],
+            "stiffness": [p.bend_ratio * p.neck_stiffness_n_m_rad, 0, 0],
+            "damping": [p.bend_ratio * p.neck_damping_n_m_s_rad, 0, 0],
+        },
+        pos=middle, range=[-m.joint_limit_rad, m.joint_limit_rad],
     )  # fmt: skip
 
 
-def _add_neck(body: mujoco.MjsBody, segment: int, segments: Sequence[Morphology], p: Physics) -> None:
+def _add_neck(
+    body: mujoco.MjsBody, segment: int, segments: Sequence[Morphology], p: Physics, make: Make
+) -> None:
     ahead, behind = segments[segment - 1], segments[segment]
     up = _neck_offset(ahead, behind)[2]
     limit = (ahead.joint_limit_rad + behind.joint_limit_rad) / 2
-    body.add_joint(
-        name=f"neck{segment - 1}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0],
-        pos=[behind.segment_length_m / 4, 0, -up / 2],
-        stiffness=[p.neck_stiffness_n_m_rad, 0, 0], damping=[p.neck_damping_n_m_s_rad, 0, 0],
-        range=[-limit, limit],
+    make(
+        body.add_joint,
+        {
+            "name": f"neck{segment - 1}", "type": mujoco.mjtJoint.mjJNT_HINGE, "axis": [0, 1, 0],
+            "stiffness": [p.neck_stiffness_n_m_rad, 0, 0], "damping": [p.neck_damping_n_m_s_rad, 0, 0],
+        },
+        pos=[behind.segment_length_m / 4, 0, -up / 2], range=[-limit, limit],
     )  # fmt: skip
 
 
-def _add_feet(body: mujoco.MjsBody, segment: int, m: Morphology, *, legs: bool) -> None:
+def _add_feet(body: mujoco.MjsBody, segment: int, m: Morphology, make: Make, *, legs: bool) -> None:
     """Feet, and the legs between them and the body, which touch nothing and weigh nothing."""
     for side, sign in (("left", 1), ("right", -1)):
         lateral = sign * m.leg_separation_m / 2
         foot = [0, lateral, FOOT_RADIUS_M - 2 * m.segment_radius_m]
-        body.add_geom(
-            name=f"foot{segment}_{side}", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[FOOT_RADIUS_M, 0, 0],
-            pos=foot, mass=0, rgba=[0.2, 0.2, 0.2, 1],
+        make(
+            body.add_geom,
+            {
+                "name": f"foot{segment}_{side}", "type": mujoco.mjtGeom.mjGEOM_SPHERE,
+                "size": [FOOT_RADIUS_M, 0, 0], "mass": 0, "rgba": [0.2, 0.2, 0.2, 1],
+            },
+            pos=foot,
         )  # fmt: skip
         if legs:
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, lateral * 0.6, 0, *foot],
-                size=[0.0012, 0, 0], mass=0, conaffinity=0, rgba=[0.3, 0.35, 0.3, 1],
+            make(
+                body.add_geom,
+                {
+                    "type": mujoco.mjtGeom.mjGEOM_CAPSULE, "size": [0.0012, 0, 0], "mass": 0,
+                    "conaffinity": 0, "rgba": [0.3, 0.35, 0.3, 1],
+                },
+                fromto=[0, lateral * 0.6, 0, *foot],
             )  # fmt: skip
 
 
-def _add_anchors(body: mujoco.MjsBody, segment: int, m: Morphology, num_segments: int) -> None:
+def _add_anchors(
+    body: mujoco.MjsBody, segment: int, m: Morphology, num_segments: int, make: Make
+) -> None:
     """Where springs end: at the front those to the segment behind, at the rear those to the one ahead.
 
     x is measured away from the neighbour that the spring pulls on.
@@ -417,10 +491,11 @@ def _add_anchors(body: mujoco.MjsBody, segment: int, m: Morphology, num_segments
     for side, sign in (("left", 1), ("right", -1)):
         for height, up in (("dorsal", 1), ("ventral", -1)):
             for end, outboard in ends:
-                body.add_site(
-                    name=f"anchor{segment}_{end}_{height}_{side}",
+                make(
+                    body.add_site,
+                    {"name": f"anchor{segment}_{end}_{height}_{side}"},
                     pos=[outboard * m.attachment_x_m, sign * m.attachment_z_m, up * m.attachment_y_m],
-                )  # fmt: skip
+                )
 
 
 def _add_springs(spec: mujoco.MjSpec, p: Physics, strengths: NDArray[np.float64]) -> None:

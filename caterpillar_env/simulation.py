@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from caterpillar_env.errors import SimulationError
 from caterpillar_env.gait import whole
-from caterpillar_env.model import ELEMENTS_PER_SEGMENT, SMA_STEP_S, Physics, build_model
+from caterpillar_env.model import ELEMENTS_PER_SEGMENT, SMA_STEP_S, ModelBuilder, Physics, build_model
 from caterpillar_env.morphology import Body, Morphology
 from caterpillar_env.sma import SmaState, advance
 
@@ -89,11 +89,9 @@ class Simulation:
         self.num_rows = num_rows
         self.simulated_s = 0.0
         self._substeps = whole(SMA_STEP_S, physics.timestep_s, "the thermal step")
-        strengths = physics.strengths()
         # Bodies that come back (elites, a vector environment's one body) are not built again.
-        self._build = lru_cache(_CACHED_BODIES)(
-            lambda body: build_model(body, physics, strengths, scenery=False)
-        )
+        builder = ModelBuilder(physics, physics.strengths(), scenery=False)
+        self._build = lru_cache(_CACHED_BODIES)(builder.build)
         nominal = self._build(Morphology())
         self._models = [nominal] * num_rows
         self._bodies: list[Body] = [Morphology()] * num_rows

@@ -8,7 +8,7 @@ import pytest
 
 from caterpillar_env import Morphology, MorphologyError, Physics, PhysicsError, SmaSpring
 from caterpillar_env.gait import spring_names
-from caterpillar_env.model import build_model, joint_names
+from caterpillar_env.model import ModelBuilder, build_model, joint_names
 from caterpillar_env.sma import spring_force
 
 BODY = Morphology(
@@ -374,3 +374,19 @@ def test_unlike_segments_keep_their_length_when_cold():
 def test_body_of_another_number_of_segments_is_refused(count):
     with pytest.raises(MorphologyError, match=f"or a tuple of 4; got {count}"):
         built((BODY,) * count)
+
+
+@pytest.mark.parametrize("scenery", [True, False])
+def test_a_builder_that_has_built_others_builds_the_very_same_model(scenery):
+    rng = np.random.default_rng(6)
+    physics = Physics()
+    used = ModelBuilder(physics, physics.strengths(), scenery=scenery)
+    for unlike in (False, True, False, True):
+        segments = tuple(Morphology.from_unit(unit) for unit in rng.random((4, 8)))
+        body = segments if unlike else segments[0]
+        ours = used.build(body)
+        fresh = build_model(body, physics, physics.strengths(), scenery=scenery)
+        for name in dir(fresh):
+            value = getattr(fresh, name)
+            if isinstance(value, np.ndarray):
+                np.testing.assert_array_equal(getattr(ours, name), value, err_msg=name)
