@@ -58,6 +58,8 @@ def kaplan_meier(time: Array, reached: Flags, level: float = LEVEL) -> Survival:
     high[last:] = high[last - 1] if last else 1.0
     # Brookmeyer and Crowley 1982: the median's interval is where the curve's covers one half.
     median = Estimate(*(_first_below(times, curve) for curve in (share, low, high)))
+    if not np.any(reached):  # nothing tells when half of them would have
+        median = Estimate(float("inf"), float("nan"), float("nan"))
     return Survival(times, share, low, high, median)
 
 

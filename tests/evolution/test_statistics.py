@@ -30,6 +30,12 @@ def test_kaplan_meier_of_the_textbooks_example():
     assert statistics.kaplan_meier(PLACEBO, ALL).median.value == 8
 
 
+def test_median_of_runs_that_never_arrive_has_no_interval():
+    median = statistics.kaplan_meier(np.array([5.0, 5.0]), np.zeros(2, dtype=bool)).median
+    assert median.value == np.inf
+    assert np.isnan([median.low, median.high]).all()
+
+
 def test_few_runs_that_all_arrive_do_not_bound_the_median_from_above():
     curve = statistics.kaplan_meier(np.array([10.0, 20.0, 30.0]), np.ones(3, dtype=bool))
     assert curve.median == (20.0, 10.0, np.inf)
