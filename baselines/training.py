@@ -83,13 +83,13 @@ class TrainConfig:
         return CaterpillarVecEnv(self.env_id, num_envs, physics=self.physics, morphology=self.morphology)
 
 
-def hyperparameters(config: TrainConfig, folder: Path = HYPERPARAMETERS) -> dict[str, Any]:
+def hyperparameters(config: TrainConfig) -> dict[str, Any]:
     """What `hyperparams/ALGORITHM.yml` says of the environment, in rl_zoo3's schema.
 
     Raises:
-        TrainingError: nothing.
+        TrainingError: it says nothing of it; the algorithm cannot choose such actions.
     """
-    path = folder / f"{config.algorithm}.yml"
+    path = HYPERPARAMETERS / f"{config.algorithm}.yml"
     table = yaml.safe_load(path.read_text(encoding="utf-8"))
     if config.env_id not in table:
         modes = ", ".join(mode for mode, env_id in ENVIRONMENTS.items() if env_id in table)

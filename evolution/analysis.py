@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from caterpillar_env.task import Failure
 from evolution import statistics
-from evolution.individual import Individual, label
+from evolution.individual import Individual, label, write_json
 from evolution.journal import Journal
 from evolution.statistics import Estimate
-from evolution.study import Cell, Course, StudyConfig, courses, is_finished, write_json
+from evolution.study import Cell, Course, StudyConfig, courses, is_finished
 
 Array = NDArray[np.float64]
 REFERENCE_TIMESTEP_S = 0.00025  #: see docs/physics.md
@@ -148,7 +148,6 @@ def _times(config: StudyConfig, runs: dict[str, list[Course]], threshold_m: floa
     rows = []
     for arm, (time, reached) in arrivals.items():
         rng = np.random.default_rng(_SEED)
-        compare = arm in corrected and reference is not None
         rows.append(
             Times(
                 arm=arm,
@@ -163,7 +162,7 @@ def _times(config: StudyConfig, runs: dict[str, list[Course]], threshold_m: floa
                     statistics.expected_running_time, [(time, reached)], rng
                 ),
                 speed_up=_drawn(statistics.speed_up, [(time, reached), reference], rng)
-                if compare and reference is not None
+                if arm in corrected and reference is not None
                 else None,
                 log_rank_p=corrected.get(arm),
             )

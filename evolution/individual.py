@@ -123,9 +123,7 @@ class Individual:
 
     def save(self, path: Path) -> None:
         """Write `path`."""
-        partial = path.with_name(f".{path.name}.partial")
-        partial.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
-        os.replace(partial, path)
+        write_json(path, self.to_dict())
 
     @classmethod
     def load(cls, path: Path) -> Individual:
@@ -146,6 +144,13 @@ class Individual:
             return cls.from_dict(data)
         except CaterpillarError as error:
             raise IndividualError(f"{file}: {error}") from None
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write a file whole or not at all."""
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    os.replace(partial, path)
 
 
 def label(failure: int | np.integer[Any]) -> str:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import EPISODE_S
 from evolution.evaluators import LocalEvaluator
+from evolution.individual import write_json
 from evolution.journal import FILE, Journal, JournalError
 from evolution.records import table
 from evolution.run import RunConfig, evolve, read_configuration, resume
@@ -226,7 +227,7 @@ def load(folder: Path) -> StudyConfig:
     """The study that a folder holds.
 
     Raises:
-        StudyError: none.
+        StudyError: the folder holds no study, or one that cannot be read.
     """
     try:
         data = json.loads((folder / "study.json").read_text(encoding="utf-8"))
@@ -325,13 +326,6 @@ def versions(config: StudyConfig, folder: Path) -> list[dict[str, str]]:
             with Journal(cell.folder(folder), read_only=True) as journal:
                 found += [one for one in journal.sessions if one not in found]
     return found
-
-
-def write_json(file: Path, data: Any) -> None:
-    """Write a file whole or not at all."""
-    partial = file.with_name(f".{file.name}.partial")
-    partial.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
-    os.replace(partial, file)
 
 
 def thresholds(config: StudyConfig, folder: Path, frame: polars.DataFrame) -> list[float] | None:
