@@ -6,7 +6,15 @@ from collections.abc import Sequence
 
 from caterpillar_env.errors import CaterpillarError
 
-_USAGE = "usage: caterpillar rl {train,eval} [OPTIONS] (caterpillar rl train --help)"
+_NAMES = ("train", "eval", "compare")
+_USAGE = """usage: caterpillar rl {train,eval,compare} [OPTIONS]
+
+commands:
+  train    train a policy, at a budget of simulated seconds
+  eval     let a trained policy crawl, on other ground too
+  compare  put trainings side by side: a table and learning curves
+
+caterpillar rl COMMAND --help tells the options of one."""
 
 
 def rl_command(argv: Sequence[str]) -> int:
@@ -15,14 +23,20 @@ def rl_command(argv: Sequence[str]) -> int:
     if name in ("-h", "--help"):
         print(_USAGE)
         return 0
-    if name not in ("train", "eval"):
-        raise CaterpillarError(f"choose from train, eval; got {name or 'nothing'}")
+    if name not in _NAMES:
+        raise CaterpillarError(f"choose from {', '.join(_NAMES)}; got {name or 'nothing'}")
     try:
         import sb3_contrib  # noqa: F401
+        import yaml  # noqa: F401
     except ImportError:
         raise CaterpillarError(
             "reinforcement learning needs stable-baselines3: pip install 'caterpillar-sma[rl]'"
         ) from None
     from baselines import subcommands
 
-    return subcommands.train_command(rest) if name == "train" else subcommands.eval_command(rest)
+    command = {
+        "train": subcommands.train_command,
+        "eval": subcommands.eval_command,
+        "compare": subcommands.compare_command,
+    }
+    return command[name](rest)

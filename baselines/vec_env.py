@@ -43,6 +43,16 @@ class CaterpillarVecEnv(VecEnv):
         self.metadata = {**self.metadata, "render_fps": self._env.metadata["render_fps"]}
 
     @property
+    def step_s(self) -> float:
+        """Simulated length of a step, s."""
+        return float(self._env.unwrapped.step_s)
+
+    @property
+    def episode_s(self) -> float:
+        """Simulated length of an episode, s."""
+        return float(self._env.unwrapped.episode_s)
+
+    @property
     def simulated_s(self) -> float:
         """Simulated seconds that all rows have been stepped for, since the environment was made."""
         return float(self._env.unwrapped.simulated_s)

@@ -81,6 +81,21 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     Straight, at rest, feet on the ground, springs at ambient temperature. With `reset_noise_scale` s each
     hinge is off by U(-s, s) rad and each axial joint by U(-s, s) cm.
 
+    ## Domain randomisation
+    `randomization={"friction": (0.5, 1.1), "mass": (0.9, 1.1)}`, say, draws conditions anew at each reset, one draw
+    for every row, from the episode's seed; uniformly between two bounds:
+
+    | key | what | otherwise |
+    |---|---|---|
+    | `friction` | of feet and shells on the ground | `physics.friction` |
+    | `mismatch_std` | spread of the springs' strengths, all of which are drawn anew | `physics.strengths()` |
+    | `spring_force` | factor on the force of all springs | 1 |
+    | `mass` | factor on the mass of the body | 1 |
+    | `ambient_c` | temperature of the air, degC; observed temperatures stay relative to `physics.spring.ambient_c` | `physics.spring.ambient_c` |
+
+    `info` then holds `friction`, `spring_strengths` (one factor a spring, mismatch and `spring_force`
+    together), `mass` and `ambient_c`.
+
     ## Episode end
     - Termination: the robot *flipped* (mean upward axis inclined by more than 120 degrees), *tipped* (more
       than 60 degrees), *jumped* (lowest point more than 5 mm above the ground), *veered* (heading off by
@@ -92,7 +107,8 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     ## Info
     `x_position`, `y_position` (of the centre of mass, world frame), `distance` (m, along the starting
     heading), `distance_from_origin`, `x_velocity`, `y_velocity` (mean over the step), `reward_forward`,
-    `reward_ctrl`, `reward_failure` (steps only), `energy_j` (since reset), `time_s`, `failure`.
+    `reward_ctrl`, `reward_failure` (steps only), `energy_j` (since reset), `time_s`, `failure`; with
+    domain randomisation also what was drawn.
 
     ## Arguments
     | parameter | default | description |
@@ -102,10 +118,11 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     | `morphology` | nominal | the body: mapping of the eight parameters, eight numbers, or a `Morphology` |
     | `physics` | `{}` | mapping of fields of `Physics` that differ from its defaults; `{"num_segments": 6}`, say |
     | `gait_period_s` | 5.0 | a whole number of 0.1 s |
-    | `frame_skip` | 1 | switch mode: control intervals of 0.1 s in a step |
+    | `frame_skip` | 1 | control intervals of 0.1 s (switch mode) or gait periods (timing mode) in a step |
     | `episode_s` | 30.0 | simulated length of an episode |
     | `forward_reward_weight`, `ctrl_cost_weight`, `failure_cost` | 100, 0, 5 | see Rewards |
     | `reset_noise_scale` | 0.0 | see Starting state |
+    | `randomization` | `None` | see Domain randomisation |
     | `terminate_on_failure` | `True` | see Episode end |
     | `threads` | 1 | threads of the vector environment; 0 for all cores |
     | `render_mode` | `None` | "human", "rgb_array", "depth_array" or "rgb_array_list" |

@@ -13,6 +13,7 @@ from caterpillar_env.errors import MorphologyError, PhysicsError, SimulationErro
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, whole
 from caterpillar_env.model import CONTROL_INTERVAL_S, SMA_STEP_S, Physics, joint_names
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.randomization import Conditions, Randomization
 from caterpillar_env.simulation import Array, BodyState, Rows, Trace
 from caterpillar_env.task import (
     EPISODE_S,
@@ -63,13 +64,15 @@ class Episodes:
         ctrl_cost_weight: float = 0.0,
         failure_cost: float = 5.0,
         reset_noise_scale: float = 0.0,
+        randomization: Randomization | Mapping[str, Any] | None = None,
         terminate_on_failure: bool = True,
     ) -> None:
         if action_mode not in ("timing", "switch"):
             raise SimulationError(f'action_mode must be "timing" or "switch"; got {action_mode!r}')
         if not isinstance(frame_skip, int) or frame_skip < 1:
             raise SimulationError(
-                f"frame_skip must be a whole number of control intervals, 1 or more; got {frame_skip!r}"
+                "frame_skip must be a whole number of control intervals (switch) or gait periods "
+                f"(timing), 1 or more; got {frame_skip!r}"
             )
         for name, value in (
             ("forward_reward_weight", forward_reward_weight),
@@ -84,10 +87,16 @@ class Episodes:
         self.symmetric = symmetric
         self.gait_period_s = gait_period_s
         self._period_intervals = whole(gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
+        self.episode_s = episode_s
         self._episode_intervals = whole(episode_s, CONTROL_INTERVAL_S, "episode_s")
-        self._step_intervals = self._period_intervals if action_mode == "timing" else frame_skip
+        self._frame_skip = frame_skip
+        self._step_intervals = frame_skip * (self._period_intervals if action_mode == "timing" else 1)
         self._weights = (forward_reward_weight, ctrl_cost_weight, failure_cost)
         self._noise = reset_noise_scale
+        self._randomization = Randomization.of(randomization)
+        if self._randomization is not None:
+            self._randomization.check(self.physics)
+        self._conditions: list[Conditions | None] = [None] * num_envs
         self._terminate = terminate_on_failure
         self._clock_s = gait_period_s if action_mode == "switch" else None
         self.crawl = Crawl(num_envs, self.physics, threads, stop_on_failure=terminate_on_failure)
@@ -119,18 +128,26 @@ class Episodes:
         scale = np.array([_AXIAL_NOISE_M_RAD if n.startswith("axial") else 1.0 for n in joints])
         drawn = np.array([g.uniform(-1.0, 1.0, len(joints)) for g in generators])
         offset = self._noise * drawn * scale if self._noise else None
-        self.crawl.reset(morphologies, rows, offset=offset)
+        conditions = None
+        if self._randomization is not None:
+            conditions = [self._randomization.draw(self.physics, g) for g in generators]
+            for row, condition in zip(rows.tolist(), conditions, strict=True):
+                self._conditions[row] = condition
+        self.crawl.reset(morphologies, rows, conditions=conditions, offset=offset)
         self._unit[rows] = [2.0 * m.to_unit() - 1.0 for m in morphologies]
         self._intervals[rows] = 0
         state, start = self.crawl.simulation.state(rows), self.crawl.progress(rows)
         nothing = np.zeros(len(rows))
-        return self._observe(rows, state, start), _info(state, start, start, nothing, nothing)
+        info = _info(state, start, start, nothing, nothing) | self._met(rows)
+        return self._observe(rows, state, start), info
 
     def step(
         self,
         actions: Array,
         rows: Rows,
         on_interval: Callable[[Trace | None], None] | None = None,
+        *,
+        trace: bool = False,
     ) -> Step:
         """Advance some rows by one environment step; a robot that fails stops within it.
 
@@ -138,12 +155,13 @@ class Episodes:
             actions: one per row, as `checked` returns them.
             rows: which robots.
             on_interval: see `Crawl.run`.
+            trace: likewise.
         """
         power = self._power(actions)
         before = self.crawl.progress(rows)
         # The last gait period of an episode may be a part of one.
         left = np.minimum(self._episode_intervals - self._intervals[rows], self._step_intervals)
-        self.crawl.run(power, rows, on_interval, intervals=left)
+        self.crawl.run(power, rows, on_interval, intervals=left, trace=trace)
         self._intervals[rows] += left
         after = self.crawl.progress(rows)
 
@@ -157,6 +175,7 @@ class Episodes:
         state = self.crawl.simulation.state(rows)
         info = _info(state, before, after, forward, ctrl)
         info["reward_failure"] = -failure_cost * new_failure
+        info |= self._met(rows)
         return Step(
             observation=self._observe(rows, state, after),
             reward=forward + ctrl + info["reward_failure"],
@@ -194,7 +213,21 @@ class Episodes:
         timings = GaitTimings.from_action(np.clip(actions, -1.0, 1.0), self.gait_period_s)
         if self.symmetric:
             timings = timings.mirrored()
-        return timings.power(SMA_STEP_S)
+        return np.tile(timings.power(SMA_STEP_S), (1, self._frame_skip, 1))
+
+    def _met(self, rows: Rows) -> dict[str, NDArray[Any]]:
+        """What randomised robots meet with, for `info`; nothing where nothing is randomised."""
+        met = [c for c in (self._conditions[row] for row in rows) if c is not None]
+        if not met:
+            return {}
+        strengths = np.empty(len(met), dtype=object)
+        strengths[:] = [c.strengths for c in met]
+        return {
+            "friction": np.array([c.friction for c in met]),
+            "spring_strengths": strengths,
+            "mass": np.array([c.mass for c in met]),
+            "ambient_c": np.array([c.ambient_c for c in met]),
+        }
 
     def _observe(self, rows: Rows, state: BodyState, progress: Progress) -> NDArray[np.float32]:
         seen = observe(self.physics, state, progress.heading_rad, self._unit[rows], self._clock_s)

@@ -230,7 +230,7 @@ class ModelBuilder:
 
             _add_robot(self._spec, segments, p, change, legs=self._scenery)
         model = self._spec.compile()
-        _trim_tendons(model)
+        trim_tendons(model)
         return model
 
     def _make(self, add: Any, fixed: dict[str, Any], **own: Any) -> Any:
@@ -287,7 +287,7 @@ def _add_robot(
         _add_camera(spec, segments, make)
 
 
-def _trim_tendons(model: mujoco.MjModel) -> None:
+def trim_tendons(model: mujoco.MjModel) -> None:
     """Keep of each spring's Jacobian only the joints between the two elements that it spans.
 
     MuJoCo gives a tendon a column for every joint from its ends up to the root, although those that

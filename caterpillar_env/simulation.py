@@ -20,6 +20,7 @@ from caterpillar_env.errors import SimulationError
 from caterpillar_env.gait import whole
 from caterpillar_env.model import ELEMENTS_PER_SEGMENT, SMA_STEP_S, ModelBuilder, Physics, build_model
 from caterpillar_env.morphology import Body, Morphology
+from caterpillar_env.randomization import Conditions, varied
 from caterpillar_env.sma import SmaState, advance
 
 Array = NDArray[np.float64]
@@ -95,6 +96,8 @@ class Simulation:
         nominal = self._build(Morphology())
         self._models = [nominal] * num_rows
         self._bodies: list[Body] = [Morphology()] * num_rows
+        self._conditions: list[Conditions | None] = [None] * num_rows
+        self._ambient_c = np.full((num_rows, 1), physics.spring.ambient_c)
         self._batch = Batch(nominal, num_rows, threads)
         self._batch.set_models(self._models)
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
@@ -120,6 +123,7 @@ class Simulation:
         bodies: Sequence[Body],
         rows: Rows | None = None,
         *,
+        conditions: Sequence[Conditions] | None = None,
         heading_rad: float = 0.0,
         offset: Array | None = None,
     ) -> None:
@@ -128,6 +132,7 @@ class Simulation:
         Args:
             bodies: one for each row that is reset.
             rows: which rows; all by default.
+            conditions: what each of them meets with; those of `physics` by default.
             heading_rad: starting heading, counter-clockwise from world x.
             offset: added to the internal joints' positions, m or rad, shape (R, J).
 
@@ -138,11 +143,17 @@ class Simulation:
         if len(bodies) != len(index):
             raise SimulationError(f"{len(index)} rows need as many bodies; got {len(bodies)}")
         changed = False
-        for row, body in zip(index.tolist(), bodies, strict=True):
-            if self._bodies[row] != body:
-                self._models[row] = self._build(body)
-                self._bodies[row] = body
-                self._radius[row] = self._models[row].geom_size[self._touching, 0]
+        met = [None] * len(index) if conditions is None else conditions
+        for row, body, condition in zip(index.tolist(), bodies, met, strict=True):
+            if self._bodies[row] != body or self._conditions[row] != condition:
+                model = self._build(body)
+                own = self.physics.spring.ambient_c
+                self._models[row] = (
+                    model if condition is None else varied(model, self.physics, condition)
+                )
+                self._ambient_c[row] = own if condition is None else condition.ambient_c
+                self._bodies[row], self._conditions[row] = body, condition
+                self._radius[row] = model.geom_size[self._touching, 0]
                 changed = True
         if changed:
             self._batch.set_models(self._models)
@@ -152,7 +163,8 @@ class Simulation:
             self._qpos[index, 3:FREE_QPOS] = [np.cos(half), 0.0, 0.0, np.sin(half)]
         if offset is not None:
             self._qpos[index, FREE_QPOS:] += offset
-        cold = SmaState.cold(self.physics.spring, (len(index), self.physics.num_springs))
+        shape = (len(index), self.physics.num_springs)
+        cold = SmaState.cold(self.physics.spring, shape, self._ambient_c[index])
         self._sma.enthalpy_j_kg[index], self._sma.fraction[index] = cold
         self._steps[index] = 0
         self.energy_j[index] = 0.0
@@ -215,7 +227,9 @@ class Simulation:
             raise SimulationError("reset a row before advancing it")
         # Temperatures do not depend on the motion: all of them first, and what springs draw.
         before = SmaState(self._sma.enthalpy_j_kg[index], self._sma.fraction[index])
-        heated = advance(self.physics.spring, before, np.swapaxes(power, 0, 1), SMA_STEP_S)
+        heated = advance(
+            self.physics.spring, before, np.swapaxes(power, 0, 1), SMA_STEP_S, self._ambient_c[index]
+        )
         control = self._control(before.fraction, heated.fraction)
         energy_j = heated.power.sum(axis=2) * (self.physics.spring.drive_power_w * SMA_STEP_S)
 

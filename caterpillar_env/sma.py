@@ -165,9 +165,12 @@ class SmaState(NamedTuple):
     fraction: Array  #: xi, austenite fraction in [0, 1], same shape
 
     @classmethod
-    def cold(cls, spring: SmaSpring, shape: tuple[int, ...]) -> SmaState:
-        """Springs at ambient temperature, all martensite."""
-        return cls(np.full(shape, spring.specific_heat_j_kg_k * spring.ambient_c), np.zeros(shape))
+    def cold(
+        cls, spring: SmaSpring, shape: tuple[int, ...], ambient_c: Array | float | None = None
+    ) -> SmaState:
+        """Springs at ambient temperature, the spring's own or another (broadcast), all martensite."""
+        warm = spring.specific_heat_j_kg_k * (spring.ambient_c if ambient_c is None else ambient_c)
+        return cls(np.full(shape, warm), np.zeros(shape))
 
     @classmethod
     def at(cls, spring: SmaSpring, temperature_c: Array, fraction: Array) -> SmaState:
@@ -193,7 +196,13 @@ class SmaStep(NamedTuple):
     power: Array  #: share of the drive power really drawn in each step, shape (K, *S)
 
 
-def advance(spring: SmaSpring, state: SmaState, power: Array, step_s: float) -> SmaStep:
+def advance(
+    spring: SmaSpring,
+    state: SmaState,
+    power: Array,
+    step_s: float,
+    ambient_c: Array | float | None = None,
+) -> SmaStep:
     """Integrate the springs over K steps of `step_s` seconds.
 
     Exponential Euler in H: exact while xi is frozen and the power constant; while transforming the
@@ -205,6 +214,7 @@ def advance(spring: SmaSpring, state: SmaState, power: Array, step_s: float) -> 
         state: before the first step, arrays of shape S.
         power: commanded share of the drive power in each step, in [0, 1], shape (K, *S).
         step_s: length of a step, s.
+        ambient_c: temperature of the air where it is not the spring's own, degC, broadcast to S.
 
     Returns:
         The state after the steps, with the fraction and the drawn power after each.
@@ -214,7 +224,7 @@ def advance(spring: SmaSpring, state: SmaState, power: Array, step_s: float) -> 
     span_s = -tau * math.expm1(-step_s / tau)  # the step's length seen through exponential decay
     gain = spring.heating_w_kg * span_s
     decay = spring.cooling_w_kg_k * span_s / c  # of H over ambient, at frozen xi
-    inflow = decay * c * spring.ambient_c
+    inflow = decay * c * (spring.ambient_c if ambient_c is None else ambient_c)
     cut_off = c * spring.cut_off_c + latent  # it lies above Af, where xi is 1
     hot = np.maximum(state.enthalpy_j_kg, cut_off)
     # A spring that is hotter to begin with is not powered.

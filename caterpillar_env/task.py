@@ -20,6 +20,7 @@ from caterpillar_env.errors import SimulationError
 from caterpillar_env.gait import spring_names, whole
 from caterpillar_env.model import CONTROL_INTERVAL_S, SMA_STEP_S, Physics, joint_names
 from caterpillar_env.morphology import NAMES, Body
+from caterpillar_env.randomization import Conditions
 from caterpillar_env.simulation import Array, BodyState, Pose, Rows, Simulation, Trace
 
 #: Saunders 2009, section IV: distance travelled within 30 s of simulated time.
@@ -139,11 +140,14 @@ class Crawl:
         bodies: Sequence[Body],
         rows: Rows | None = None,
         *,
+        conditions: Sequence[Conditions] | None = None,
         heading_rad: float = 0.0,
         offset: Array | None = None,
     ) -> None:
         """Put robots at the start; arguments as for `Simulation.reset`."""
-        self.simulation.reset(bodies, rows, heading_rad=heading_rad, offset=offset)
+        self.simulation.reset(
+            bodies, rows, conditions=conditions, heading_rad=heading_rad, offset=offset
+        )
         index = self._rows(rows)
         self.failure[index] = Failure.NONE
         pose = self.simulation.pose(index)

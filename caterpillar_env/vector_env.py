@@ -94,6 +94,11 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         return self._episodes.step_s
 
     @property
+    def episode_s(self) -> float:
+        """Simulated length of an episode without failure, s."""
+        return self._episodes.episode_s
+
+    @property
     def simulated_s(self) -> float:
         """Simulated seconds that all rows together have been stepped for."""
         return self._episodes.crawl.simulation.simulated_s

@@ -6,16 +6,15 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import polars
 from numpy.typing import NDArray
 
-from caterpillar_env.task import Failure
 from evolution import statistics
-from evolution.individual import Individual, label, write_json
-from evolution.journal import Journal
+from evolution.arms import EvolutionArm
+from evolution.individual import Robot, label, write_json
 from evolution.statistics import Estimate
 from evolution.study import Cell, Course, StudyConfig, courses, is_finished
 
@@ -236,10 +235,12 @@ def within_budget(frame: polars.DataFrame, config: StudyConfig, arm: str) -> pol
 
 def _gains(config: StudyConfig, runs: dict[str, list[Course]]) -> list[Gain]:
     """Only arms of the reference's optimizer have generations that compare."""
-    same = config.arms[config.reference]
+    searches = {a: kind.config for a, kind in config.arms.items() if isinstance(kind, EvolutionArm)}
+    same = searches.get(config.reference)
     at = {}
     for arm, found in runs.items():
-        if (config.arms[arm].optimizer, config.arms[arm].ga) == (same.optimizer, same.ga):
+        mine = searches.get(arm)
+        if mine and same and (mine.optimizer, mine.ga) == (same.optimizer, same.ga):
             values = np.array([c.at_generation(config.generation) for c in found])
             if np.isfinite(values).any():
                 at[arm] = values[np.isfinite(values)]
@@ -290,26 +291,12 @@ def winners(config: StudyConfig, folder: Path) -> list[Winner]:
     return found
 
 
-def _best(config: StudyConfig, cell: Cell, folder: Path) -> tuple[int, Individual] | None:
+def _best(config: StudyConfig, cell: Cell, folder: Path) -> tuple[int, Robot] | None:
     """A finished run's seed and best robot within the budget, if one crawled forwards."""
     if not is_finished(config, cell, folder):
         return None
-    with Journal(cell.folder(folder), read_only=True) as journal:
-        rows = list(journal.evaluations())
-    spent_s = np.cumsum([row.simulated_s for row in rows])
-    able = [
-        row
-        for row, spent in zip(rows, spent_s, strict=True)
-        if spent <= config.budget_s and row.failure is Failure.NONE and row.distance_m > 0
-    ]
-    if not able:
-        return None
-    top = max(able, key=lambda row: row.distance_m)
-    arm = config.arms[cell.arm]
-    return cell.seed, Individual.of_genome(
-        top.genome, arm.physics, arm.gait_period_s, arm.genome,
-        fitness_m=top.distance_m, generation=top.generation,
-    )  # fmt: skip
+    robot = config.arms[cell.arm].best(cell.folder(folder), config.budget_s)
+    return None if robot is None else (cell.seed, robot)
 
 
 def _winner(data: dict[str, Any]) -> Winner:
@@ -317,13 +304,13 @@ def _winner(data: dict[str, Any]) -> Winner:
     return Winner(**{**data, **low_high})
 
 
-def _look_again(arm: str, seed: int, robot: Individual) -> Winner:
+def _look_again(arm: str, seed: int, robot: Robot) -> Winner:
     fine = robot.simulate(REFERENCE_TIMESTEP_S)
     drawn = robot.physics.spring_strengths is None and robot.physics.mismatch_std > 0
 
     def swing(name: str, values: Sequence[float]) -> tuple[float, float]:
         others = [
-            replace(robot, physics=replace(robot.physics, **{name: value})).simulate()  # type: ignore[arg-type]
+            replace(cast(Any, robot), physics=replace(robot.physics, **{name: value})).simulate()  # type: ignore[arg-type]
             for value in values
         ]
         distances = [float(o.fitness()[0]) for o in others]
@@ -400,23 +387,9 @@ def _races(analysis: Analysis, threshold_m: float) -> list[str]:
     return said
 
 
-_ROLES = {
-    ("ga", "uniform"): "The genetic algorithm without preprocessing",
-    ("ga", "preprocessed"): "Preprocessing",
-    ("ga", "init-only"): "Preprocessed initialisation alone",
-    ("ga", "mutation-only"): "Preprocessed mutation alone",
-    ("ga", "mirrored"): "A prior that misleads on purpose",
-    ("random", "uniform"): "Random search",
-    ("random", "preprocessed"): "Random search from the prior",
-    ("cma-es", "uniform"): "CMA-ES",
-    ("cma-es", "preprocessed"): "CMA-ES from the prior",
-}
-
-
 def _role(config: StudyConfig, arm: str) -> str:
     """What an arm is there for, with its name."""
-    run = config.arms[arm]
-    role = _ROLES.get((run.optimizer, run.prior))
+    role = config.arms[arm].role
     return arm if role is None else f"{role} ({arm})"
 
 

@@ -11,40 +11,17 @@ import multiprocessing
 import multiprocessing.connection
 import os
 import signal
-import sqlite3
 import threading
 from collections.abc import Callable
-from contextlib import closing
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+from evolution.arms import Arm, Standing
 from evolution.evaluators import RayEvaluator
-from evolution.journal import FILE
-from evolution.run import RunConfig
-from evolution.study import Cell, StudyConfig, StudyError, is_finished, run_cell
+from evolution.study import Cell, StudyConfig, StudyError, is_finished
 
 _POLL_S = 0.5
-
-
-class Standing(NamedTuple):
-    """How far a cell is."""
-
-    simulated_s: float
-    best_m: float
-
-
-def standing(folder: Path) -> Standing:
-    """Read from the journal of a run, which may be running."""
-    try:
-        with closing(sqlite3.connect(f"{(folder / FILE).resolve().as_uri()}?mode=ro", uri=True)) as db:
-            spent, best = db.execute(
-                "SELECT total(simulated_s), max(CASE status WHEN 'ok' THEN distance_m ELSE 0 END) "
-                "FROM evaluations"
-            ).fetchone()
-    except sqlite3.Error:
-        return Standing(0.0, 0.0)  # not begun
-    return Standing(spent, max(best or 0.0, 0.0))
 
 
 class Workers(Protocol):
@@ -54,7 +31,7 @@ class Workers(Protocol):
 
     def __exit__(self, *_: object) -> None: ...
 
-    def start(self, cell: Cell, config: RunConfig, folder: Path) -> None:
+    def start(self, cell: Cell, arm: Arm, folder: Path, budget_s: float) -> None:
         """Begin a cell, or go on with it."""
         ...
 
@@ -91,11 +68,11 @@ class Processes:
         for process, _said in self._running.values():
             process.join()
 
-    def start(self, cell: Cell, config: RunConfig, folder: Path) -> None:
+    def start(self, cell: Cell, arm: Arm, folder: Path, budget_s: float) -> None:
         """See `Workers`."""
         ours, theirs = self._context.Pipe(duplex=False)
         process = self._context.Process(
-            target=_in_process, args=(config.to_dict(), folder, theirs), daemon=True
+            target=_in_process, args=(arm, folder, cell.seed, budget_s, theirs), daemon=True
         )
         process.start()
         theirs.close()
@@ -124,11 +101,11 @@ class Processes:
         return self._count - len(self._running)
 
 
-def _in_process(config: dict[str, Any], folder: Path, said: Connection) -> None:
+def _in_process(arm: Arm, folder: Path, seed: int, budget_s: float, said: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        run_cell(RunConfig.from_dict(config), folder)
+        arm.run(folder, seed, budget_s)
     except Exception as error:
         said.send(f"{type(error).__name__}: {error}")
 
@@ -139,6 +116,10 @@ def _end_with_parent() -> None:
     assert parent is not None
     multiprocessing.connection.wait([parent.sentinel])
     os._exit(1)  # a journal loses nothing by it
+
+
+def _run(arm: Arm, folder: Path, seed: int, budget_s: float) -> None:
+    arm.run(folder, seed, budget_s)
 
 
 class RayTasks:
@@ -163,12 +144,12 @@ class RayTasks:
             ray.cancel(reference)
         self._cluster.__exit__()
 
-    def start(self, cell: Cell, config: RunConfig, folder: Path) -> None:
+    def start(self, cell: Cell, arm: Arm, folder: Path, budget_s: float) -> None:
         """See `Workers`."""
         import ray
 
-        task = ray.remote(num_cpus=1, max_retries=-1)(run_cell)
-        self._running[task.remote(config, folder.resolve())] = cell
+        task = ray.remote(num_cpus=1, max_retries=-1)(_run)
+        self._running[task.remote(arm, folder.resolve(), cell.seed, budget_s)] = cell
 
     def wait(self, timeout_s: float) -> list[tuple[Cell, str]]:
         """See `Workers`."""
@@ -228,14 +209,14 @@ def run_study(
         while waiting or running:
             while waiting and workers.free > 0:
                 cell = waiting.pop(0)
-                workers.start(cell, config.run_config(cell), cell.folder(folder))
+                workers.start(cell, config.arms[cell.arm], cell.folder(folder), config.budget_s)
                 running.append(cell)
             for cell, error in workers.wait(_POLL_S):
                 running.remove(cell)
                 if error:
                     failed.append((cell, error))
             if on_progress is not None:
-                now = {cell: standing(cell.folder(folder)) for cell in running}
+                now = {cell: config.arms[cell.arm].standing(cell.folder(folder)) for cell in running}
                 finished = len(cells) - len(waiting) - len(running) - len(failed)
                 under_way = sum(min(s.simulated_s / config.budget_s, 1.0) for s in now.values())
                 spent = (finished + len(failed) + under_way) / len(cells)

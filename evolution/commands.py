@@ -22,7 +22,7 @@ from evolution import cli
 from evolution.distributions import Uniform
 from evolution.evaluators import Evaluator, LocalEvaluator, RayEvaluator
 from evolution.genome import GenomeKind
-from evolution.individual import Individual, label
+from evolution.individual import Individual, Robot, label
 from evolution.journal import Journal
 from evolution.optimizers.ga import GaConfig
 from evolution.preprocessor import Clipping, GenePrior, design_parameters, paper_priors
@@ -178,17 +178,17 @@ def _finish(result: RunResult, folder: Path, console: Console, *, video: bool) -
         f"(generation {best.generation}), in {folder}"
     )
     if video:
-        _film(best, folder / "best.mp4", console)
+        film(best, folder / "best.mp4", console)
     return status
 
 
-def _film(individual: Individual, path: Path, console: Console, timestep_s: float | None = None) -> None:
+def film(robot: Robot, path: Path, console: Console, timestep_s: float | None = None) -> None:
     """Write a video; a machine that cannot draw costs only the video."""
     from evolution.video import VideoError, write_video
 
     console.print(f"writing {path} ...")
     try:
-        write_video(individual, path, timestep_s=timestep_s)
+        write_video(robot, path, timestep_s=timestep_s)
     except VideoError as error:
         console.print(f"no video: {error}")
 
@@ -353,7 +353,7 @@ def replay_command(argv: Sequence[str]) -> int:
         print(f"fitness {fitness!r} m ({said['failure']}), {said['energy_j']:.1f} J, {_verdict(said)}")
     if args.video:
         folder = args.source if args.source.is_dir() else args.source.parent
-        _film(individual, folder / "replay.mp4", _console(), args.timestep)
+        film(individual, folder / "replay.mp4", _console(), args.timestep)
     return 0
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings, pair_names, spring_names
 from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Body, Morphology, segments_of
+from caterpillar_env.simulation import Trace
 from caterpillar_env.task import Failure
 from evolution.fitness import Outcomes, simulate
 from evolution.genome import GenomeKind, decode
@@ -25,6 +27,39 @@ _TIMED = {"pairs": pair_names, "springs": spring_names}
 
 class IndividualError(CaterpillarError):
     """A file does not hold an individual."""
+
+
+class Robot(Protocol):
+    """A body and whatever drives it: an `Individual`, or a trained policy. A dataclass."""
+
+    @property
+    def morphology(self) -> Body:
+        """Its body."""
+        ...
+
+    @property
+    def physics(self) -> Physics:
+        """What it was evaluated in."""
+        ...
+
+    @property
+    def fitness_m(self) -> float | None:
+        """How far it crawled, as recorded."""
+        ...
+
+    def simulate(
+        self,
+        timestep_s: float | None = None,
+        *,
+        on_interval: Callable[[Trace | None], None] | None = None,
+        trace: bool = False,
+    ) -> Outcomes:
+        """Let it crawl once more, at its own timestep or another; see `fitness.simulate`."""
+        ...
+
+    def save(self, path: Path) -> None:
+        """Keep it as JSON, with what belongs to it beside that."""
+        ...
 
 
 @dataclass(frozen=True)

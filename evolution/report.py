@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from caterpillar_env.task import Failure
 from evolution import statistics
 from evolution.analysis import Analysis, Winner, arrival, headline, within_budget
+from evolution.arms import EvolutionArm
 from evolution.preprocessor import paper_priors
 from evolution.run import RunConfig
 from evolution.statistics import Estimate
@@ -132,15 +133,16 @@ def failures(analysis: Analysis, frame: polars.DataFrame) -> Figure:
 def gene_courses(analysis: Analysis, frame: polars.DataFrame) -> Figure | None:
     """Morphology genes over the generations in arms of the genetic algorithm, and the priors' peaks."""
     config = analysis.config
+    searches = {a: k.config for a, k in config.arms.items() if isinstance(k, EvolutionArm)}
     arms = [
         arm
-        for arm in analysis.courses
-        if (config.arms[arm].optimizer, config.arms[arm].genome) == ("ga", "shared")
+        for arm, run in searches.items()
+        if arm in analysis.courses and (run.optimizer, run.genome) == ("ga", "shared")
     ]
     if not arms:
         return None
-    table = config.arms[arms[0]].genes()[:8]
-    informed = _peaks(config.arms[arms[0]])
+    table = searches[arms[0]].genes()[:8]
+    informed = _peaks(searches[arms[0]])
     figure = Figure(figsize=(12, 5.4), layout="constrained")
     axes = figure.subplots(2, 4, sharex=True).ravel()
     for axis, gene, peak in zip(axes, table, informed, strict=True):

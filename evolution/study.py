@@ -9,11 +9,10 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import statistics
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,15 +22,12 @@ from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import EPISODE_S
-from evolution.evaluators import LocalEvaluator
+from evolution import arms as kinds
+from evolution.arms import Arm
 from evolution.individual import write_json
-from evolution.journal import FILE, Journal, JournalError
-from evolution.records import table
-from evolution.run import RunConfig, evolve, read_configuration, resume
 
 Array = NDArray[np.float64]
 DATA = "evaluations.parquet"  #: all evaluations of a study in one table
-_FOREVER = 1_000_000  # generations: the budget ends a cell
 
 
 class StudyError(CaterpillarError):
@@ -57,7 +53,7 @@ class StudyConfig:
         StudyError: seeds are missing or serve twice, the reference is no arm, or a value is unusable.
     """
 
-    arms: Mapping[str, RunConfig]
+    arms: Mapping[str, Arm]
     seeds: tuple[int, ...]
     pilot_seeds: tuple[int, ...]  #: of the reference arm alone; thresholds come from them, nothing else
     budget_s: float  #: simulated seconds of each cell
@@ -126,13 +122,13 @@ class StudyConfig:
         made = {}
         for name, special in arms.items():
             if not isinstance(special, Mapping):
-                raise StudyError(f"arms.{name} must be a table of a run's settings; got {special!r}")
+                raise StudyError(f"arms.{name} must be a table of an arm's settings; got {special!r}")
             if taken := (set(special) | set(base)) & {"seed", "generations", "budget_s"}:
                 raise StudyError(
                     f"arms.{name}: {', '.join(sorted(taken))} is the study's to say, not an arm's"
                 )
             try:
-                made[name] = RunConfig.from_dict(_merged(base, special))
+                made[name] = kinds.make(special, base)
             except CaterpillarError as error:
                 raise StudyError(f"arms.{name}: {error}") from None
         try:
@@ -156,21 +152,6 @@ class StudyConfig:
         """All runs; those that thresholds come from first."""
         pilot = [Cell(self.reference, seed) for seed in self.pilot_seeds]
         return pilot + [Cell(arm, seed) for seed in self.seeds for arm in self.arms]
-
-    def run_config(self, cell: Cell) -> RunConfig:
-        """What a cell computes."""
-        arm = self.arms[cell.arm]
-        return replace(arm, seed=cell.seed, budget_s=self.budget_s, generations=_FOREVER)
-
-
-def _merged(base: Mapping[str, Any], special: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables within tables are merged, anything else replaced."""
-    merged = dict(base)
-    for key, value in special.items():
-        old = merged.get(key)
-        both = isinstance(old, Mapping) and isinstance(value, Mapping)
-        merged[key] = _merged(old, value) if both else value  # type: ignore[arg-type]
-    return merged
 
 
 def read_toml(path: Path) -> StudyConfig:
@@ -242,44 +223,9 @@ def is_finished(config: StudyConfig, cell: Cell, study: Path) -> bool:
     """Whether a cell came to its end; a running one has not.
 
     Raises:
-        StudyError: its run has other settings than the study asks for.
+        ArmError: its run has other settings than the study asks for.
     """
-    folder = cell.folder(study)
-    if not (folder / FILE).exists():
-        return False
-    try:
-        with Journal(folder, read_only=True) as journal:
-            _same_settings(journal, config.run_config(cell), folder)
-            return journal.finished
-    except JournalError:
-        return False  # whoever runs it will say why
-
-
-def _same_settings(journal: Journal, config: RunConfig, folder: Path) -> None:
-    before, _ = read_configuration(journal)
-    if before != config:
-        raise StudyError(
-            f"{folder} was run with other settings; choose another folder for the study, or remove it"
-        )
-
-
-def run_cell(config: RunConfig, folder: Path) -> None:
-    """Run a cell on one thread, or go on with it; nothing is done twice.
-
-    Raises:
-        StudyError: the folder's run has other settings.
-    """
-    if not (folder / FILE).exists():
-        shutil.rmtree(folder, ignore_errors=True)  # begun, but nothing evaluated
-        result = evolve(config, folder, evaluator=LocalEvaluator(1))
-    else:
-        with Journal(folder, read_only=True) as journal:
-            _same_settings(journal, config, folder)
-            if journal.finished:
-                return
-        result = resume(folder, evaluator=LocalEvaluator(1))
-    if not result.finished:
-        raise StudyError(f"{folder} was interrupted; it goes on when the study is started again")
+    return config.arms[cell.arm].is_finished(cell.folder(study), cell.seed, config.budget_s)
 
 
 def collect(config: StudyConfig, folder: Path) -> tuple[polars.DataFrame, list[Cell]]:
@@ -298,11 +244,12 @@ def collect(config: StudyConfig, folder: Path) -> tuple[polars.DataFrame, list[C
                 missing.append(cell)
             continue
         new = True
-        rows = table(cell.folder(folder)).drop("session", "fitness")
+        arm, run = config.arms[cell.arm], cell.folder(folder)
+        rows = arm.evaluations(run)
         outcome = rows.columns[: rows.columns.index("simulated_s") + 1]
         genes = [polars.col(name).cast(polars.Float32) for name in rows.columns[len(outcome) :]]
         who = (polars.lit(cell.arm).alias("arm"), polars.lit(cell.seed, polars.Int64).alias("seed"))
-        wall_s = polars.lit(_wall_s(cell.folder(folder)), polars.Float64).alias("wall_s")
+        wall_s = polars.lit(arm.wall_s(run), polars.Float64).alias("wall_s")
         parts.append(rows.select(*who, wall_s, *outcome, *genes))
     frame = polars.concat(parts, how="diagonal") if parts else polars.DataFrame()
     if new:
@@ -312,19 +259,13 @@ def collect(config: StudyConfig, folder: Path) -> tuple[polars.DataFrame, list[C
     return frame, missing
 
 
-def _wall_s(folder: Path) -> float | None:
-    """Wall time of a run that was never interrupted, s."""
-    with Journal(folder, read_only=True) as journal:
-        return journal.wall_s
-
-
 def versions(config: StudyConfig, folder: Path) -> list[dict[str, str]]:
     """The different versions and machines that finished cells ran under: one, if all compare."""
     found: list[dict[str, str]] = []
     for cell in config.cells():
         if is_finished(config, cell, folder):
-            with Journal(cell.folder(folder), read_only=True) as journal:
-                found += [one for one in journal.sessions if one not in found]
+            sessions = config.arms[cell.arm].versions(cell.folder(folder))
+            found += [one for one in sessions if one not in found]
     return found
 
 

@@ -14,7 +14,7 @@ from caterpillar_env.model import SMA_STEP_S, build_model
 from caterpillar_env.rendering import RobotRenderer
 from caterpillar_env.simulation import Trace
 from evolution.fitness import Outcomes
-from evolution.individual import Individual
+from evolution.individual import Robot
 
 FRAMES_PER_SECOND = 25
 
@@ -24,7 +24,7 @@ class VideoError(CaterpillarError):
 
 
 def write_video(
-    individual: Individual,
+    robot: Robot,
     path: Path,
     *,
     timestep_s: float | None = None,
@@ -32,10 +32,10 @@ def write_video(
     width: int = 640,
     height: int = 480,
 ) -> Outcomes:
-    """Simulate an individual and write what the tracking camera sees as MP4.
+    """Simulate a robot and write what the tracking camera sees as MP4.
 
     Args:
-        individual: the robot.
+        robot: whose body is one for all segments, or one each.
         path: of the file.
         timestep_s: another timestep than its own.
         speed: simulated seconds per second of video.
@@ -51,12 +51,12 @@ def write_video(
         assert trace is not None
         traces.append(trace)
 
-    outcomes = individual.simulate(timestep_s, on_interval=keep, trace=True)
+    outcomes = robot.simulate(timestep_s, on_interval=keep, trace=True)
     qpos = np.concatenate([t.qpos[0] for t in traces])
     temperature_c = np.concatenate([t.temperature_c[0] for t in traces])
     stride = max(1, round(speed / FRAMES_PER_SECOND / SMA_STEP_S))
-    physics = individual.physics
-    model = build_model(individual.morphology, physics, physics.strengths())
+    physics = robot.physics
+    model = build_model(robot.morphology, physics, physics.strengths())
     try:
         renderer = RobotRenderer(model, mujoco.MjData(model), physics.spring, width, height)
         renderer.draw(qpos[0], temperature_c[0], "rgb_array")

@@ -60,6 +60,12 @@ class CmaEs:
         self._asked: Array | None = None
         self._flat = False  # whether the last generation were all as fit
 
+    @property
+    def centre(self) -> Array:
+        """The genome that the search is about, (n,)."""
+        centre: Array = np.clip(np.array(self._strategy.result.xfavorite), 0.0, 1.0)
+        return centre
+
     def ask(self) -> Array:
         """The genomes of a generation, (population, n)."""
         if self._asked is None:

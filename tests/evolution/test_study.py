@@ -14,7 +14,8 @@ import pytest
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli, study
 from evolution.analysis import analyse, headline
-from evolution.cells import Processes, RayTasks, run_study, standing
+from evolution.arms import ArmError
+from evolution.cells import Processes, RayTasks, run_study
 from evolution.journal import Journal, is_in_use
 from evolution.study import Cell, Course, StudyConfig, StudyError
 
@@ -81,10 +82,10 @@ def test_a_study_survives_json():
 
 def test_arms_are_what_they_have_in_common_and_what_is_special():
     arms = StudyConfig.from_dict(SMALL).arms
-    assert {arm.ga.population for arm in arms.values()} == {4}
-    assert arms["ga-uniform"].prior == "uniform"
-    assert arms["cma-es"].cma.cma_population == 4
-    assert arms["cma-es"].physics.num_segments == 2
+    assert {arm.config.ga.population for arm in arms.values()} == {4}
+    assert arms["ga-uniform"].config.prior == "uniform"
+    assert arms["cma-es"].config.cma.cma_population == 4
+    assert arms["cma-es"].config.physics.num_segments == 2
 
 
 @pytest.mark.parametrize("name", ["paper", "ablation", "pilot"])
@@ -104,7 +105,7 @@ def test_cells_of_a_seed_differ_in_their_arm_alone():
     config = StudyConfig.from_dict(SMALL)
     assert len(config.cells()) == 1 + 2 * 2
     assert config.cells()[0] == Cell("ga-uniform", 8)
-    run = config.run_config(Cell("cma-es", 1))
+    run = config.arms["cma-es"].run_config(1, config.budget_s)
     assert (run.seed, run.budget_s, run.optimizer) == (1, 240, "cma-es")
 
 
@@ -197,6 +198,7 @@ def test_a_run_that_fails_is_told_and_keeps_none_of_the_others(finished, tmp_pat
 def test_progress_of_a_run_is_read_from_outside(finished):
     config = study.load(finished)
     cell = config.cells()[0]
+    standing = config.arms[cell.arm].standing
     now = standing(cell.folder(finished))
     rows = study.collect(config, finished)[0].filter(
         (polars.col("arm") == cell.arm) & (polars.col("seed") == cell.seed)
@@ -220,7 +222,7 @@ def test_cells_of_other_settings_are_never_taken_for_this_studys(finished, tmp_p
     study.begin(fewer, tmp_path / "copy")
     other = StudyConfig.from_dict(changed(arms={**arms, "cma-es": {"optimizer": "random"}}))
     study.begin(other, tmp_path / "copy")
-    with pytest.raises(StudyError, match=r"cma-es/seed-0 was run with other settings"):
+    with pytest.raises(ArmError, match=r"cma-es/seed-0 was run with other settings"):
         study.collect(other, tmp_path / "copy")
 
 

@@ -1,0 +1,109 @@
+"""Reinforcement learning as an arm of a study."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import polars
+
+from baselines.comparison import title
+from baselines.config import TrainConfig, TrainingError
+from baselines.policy import TrainedRobot
+from baselines.records import RECORD, Record, evaluations
+from baselines.training import train
+from evolution.arms import ArmError, Standing
+
+
+@dataclass(frozen=True)
+class TrainArm:
+    """An arm that trains a policy; an evaluation is one of the deterministic policy.
+
+    Such an evaluation carries all simulated seconds since the one before, of training too. A training
+    that was stopped is done anew, to the same bits.
+    """
+
+    config: TrainConfig
+
+    @property
+    def role(self) -> str | None:
+        """See `evolution.arms.Arm`."""
+        return f"Reinforcement learning, {title(self.config)}"
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> TrainArm:
+        """See `evolution.arms.Arm`."""
+        return cls(TrainConfig.from_dict(data))
+
+    @classmethod
+    def shared(cls, base: Mapping[str, Any]) -> Mapping[str, Any]:
+        """See `evolution.arms.Arm`: the physics."""
+        return {name: base[name] for name in ("physics",) if name in base}
+
+    def train_config(self, seed: int, budget_s: float) -> TrainConfig:
+        """What a training computes."""
+        return replace(self.config, seed=seed, budget_s=budget_s)
+
+    def run(self, folder: Path, seed: int, budget_s: float) -> None:
+        """See `evolution.arms.Arm`."""
+        if self.is_finished(folder, seed, budget_s):
+            return
+        shutil.rmtree(folder, ignore_errors=True)
+        if not train(self.train_config(seed, budget_s), folder, threads=1).finished:
+            raise ArmError(f"{folder} was interrupted; it starts anew when the study is started again")
+
+    def is_finished(self, folder: Path, seed: int, budget_s: float) -> bool:
+        """See `evolution.arms.Arm`."""
+        if not (folder / RECORD).exists():
+            return False
+        try:
+            record = Record.load(folder)
+        except TrainingError:
+            return False  # killed as it wrote: done anew
+        if record.config != self.train_config(seed, budget_s):
+            raise ArmError(
+                f"{folder} was run with other settings; choose another folder for the study, or "
+                "remove it"
+            )
+        return record.finished
+
+    def standing(self, folder: Path) -> Standing:
+        """See `evolution.arms.Arm`."""
+        points = evaluations(folder)
+        best = max((p.distance_m for p in points if p.failure == "ok"), default=0.0)
+        return Standing(points[-1].simulated_s if points else 0.0, max(best, 0.0))
+
+    def evaluations(self, folder: Path) -> polars.DataFrame:
+        """See `evolution.arms.Arm`; genes are those of the body alone."""
+        points = evaluations(folder)
+        rows, before_s = [], 0.0
+        for number, point in enumerate(points):
+            rows.append(
+                {
+                    "evaluation": number,
+                    "generation": number,
+                    "failure": point.failure,
+                    "distance_m": point.distance_m,
+                    "energy_j": point.energy_j,
+                    "simulated_s": point.simulated_s - before_s,
+                    **point.morphology.to_dict(),
+                }
+            )
+            before_s = point.simulated_s
+        return polars.DataFrame(rows)
+
+    def wall_s(self, folder: Path) -> float | None:
+        """See `evolution.arms.Arm`."""
+        return Record.load(folder).wall_s
+
+    def versions(self, folder: Path) -> list[dict[str, str]]:
+        """See `evolution.arms.Arm`."""
+        return [Record.load(folder).versions]
+
+    def best(self, folder: Path, budget_s: float) -> TrainedRobot | None:
+        """See `evolution.arms.Arm`."""
+        robot = TrainedRobot.load(folder)
+        return robot if (robot.fitness_m or 0.0) > 0 else None

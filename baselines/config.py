@@ -1,0 +1,162 @@
+"""What a training is asked to do, and its hyper-parameters in rl_zoo3's schema."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+import yaml
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.utils import LinearSchedule
+
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.gait import GAIT_PERIOD_S
+from caterpillar_env.model import Physics
+from caterpillar_env.morphology import Morphology
+from caterpillar_env.randomization import Randomization
+from caterpillar_env.task import EPISODE_S
+
+AlgorithmName = Literal["ppo", "a2c", "sac", "tqc", "ars"]
+Mode = Literal["timing", "switch"]
+Design = Literal["fixed", "uniform", "preprocessed"]
+ENVIRONMENTS: dict[str, str] = {"timing": "CaterpillarSMA-v0", "switch": "CaterpillarSMASwitch-v0"}
+ROBOTS_PER_BODY = 2  #: that crawl in each body that CMA-ES proposes
+HYPERPARAMETERS = Path(__file__).with_name("hyperparams")
+_SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf", "delta_std")
+
+
+class TrainingError(CaterpillarError):
+    """A training cannot start or be read as asked."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Everything that decides what a training computes.
+
+    Raises:
+        TrainingError: a value is out of range.
+    """
+
+    algorithm: AlgorithmName = "ppo"
+    mode: Mode = "switch"  #: timing: a step is a gait period; switch: a step is a share of a second
+    open_loop: bool = False  #: timing only: one action for the whole episode, a bandit
+    design: Design = "fixed"  #: else CMA-ES evolves the body around the policy, from this prior
+    seed: int = 0
+    budget_s: float = 30_000.0  #: simulated seconds, of training and evaluation together
+    evaluations: int = 20  #: of the deterministic policy, spread over the budget
+    morphology: Morphology = field(default_factory=Morphology)  #: the body, where it is fixed
+    randomize: Mapping[str, tuple[float, float]] = field(default_factory=dict)  #: in training only
+    physics: Physics = field(default_factory=Physics)
+
+    def __post_init__(self) -> None:
+        for name, kind in (("algorithm", AlgorithmName), ("mode", Mode), ("design", Design)):
+            if getattr(self, name) not in get_args(kind):
+                known = ", ".join(get_args(kind))
+                raise TrainingError(f"{name} = {getattr(self, name)!r} must be one of {known}")
+        if not 0 <= self.seed < 2**32:
+            raise TrainingError(f"seed = {self.seed} must be a whole number from 0 to {2**32 - 1}")
+        if not EPISODE_S <= self.budget_s < np.inf:
+            raise TrainingError(
+                f"budget_s = {self.budget_s} must be a number of simulated seconds, at least those of "
+                f"one episode, {EPISODE_S:g}"
+            )
+        if self.evaluations < 1:
+            raise TrainingError(f"evaluations = {self.evaluations} must be at least 1")
+        if self.open_loop and self.mode != "timing":
+            raise TrainingError("open_loop holds one choice of timings: it needs mode timing")
+        if self.design != "fixed" and (self.algorithm != "ppo" or self.open_loop):
+            raise TrainingError("a body is evolved around ppo's closed-loop policy only")
+        object.__setattr__(self, "randomize", {k: tuple(v) for k, v in self.randomize.items()})
+        Randomization.of(self.randomize)
+        hyperparameters(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> TrainConfig:
+        """The configuration in plain JSON, as `to_dict` gives it; what is missing is the default.
+
+        Raises:
+            CaterpillarError: a field is unknown or unusable.
+        """
+        if unknown := set(data) - {f.name for f in fields(cls)}:
+            raise TrainingError(f"a training has no {', '.join(sorted(unknown))}")
+        made = dict(data)
+        try:
+            if "physics" in made:
+                made["physics"] = Physics.of(made["physics"])
+            if "morphology" in made:
+                made["morphology"] = Morphology.of(made["morphology"])
+            return cls(**made)
+        except (TypeError, AttributeError) as error:
+            raise TrainingError(f"the configuration cannot be read: {error}") from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON."""
+        return asdict(self) | {"randomize": {k: list(v) for k, v in self.randomize.items()}}
+
+    @property
+    def env_id(self) -> str:
+        """The environment's name."""
+        return ENVIRONMENTS[self.mode]
+
+    @property
+    def periods_per_step(self) -> int:
+        """Gait periods in a step of a bandit: all of an episode."""
+        return round(EPISODE_S / GAIT_PERIOD_S)
+
+
+class Hyperparameters(NamedTuple):
+    """What a training's file says, taken apart."""
+
+    model: dict[str, Any]  #: keywords of the algorithm
+    n_envs: int  #: robots that learn side by side
+    normalize: dict[str, Any] | None  #: keywords of VecNormalize; None: not normalised
+    env_kwargs: dict[str, Any]  #: of the environment
+    callbacks: list[BaseCallback]
+
+
+def hyperparameters(config: TrainConfig) -> Hyperparameters:
+    """What `hyperparams/ALGORITHM.yml` says of the environment, in rl_zoo3's schema.
+
+    Raises:
+        TrainingError: it says nothing of it; the algorithm cannot choose such actions.
+    """
+    path = HYPERPARAMETERS / f"{config.algorithm}.yml"
+    table = yaml.safe_load(path.read_text(encoding="utf-8"))
+    if config.env_id not in table:
+        modes = ", ".join(mode for mode, env_id in ENVIRONMENTS.items() if env_id in table)
+        raise TrainingError(
+            f"{config.algorithm} cannot learn in mode {config.mode!r}; it can in {modes}"
+        )
+    settings: dict[str, Any] = table[config.env_id]
+    settings.pop("n_timesteps")  # the budget ends a training here
+    n_envs = settings.pop("n_envs", 1)
+    env_kwargs = settings.pop("env_kwargs", {})
+    normalize = settings.pop("normalize", False)
+    callbacks = [_callback(entry) for entry in settings.pop("callback", [])]
+    for name in _SCHEDULED:
+        if isinstance(value := settings.get(name), str):
+            settings[name] = LinearSchedule(float(value.removeprefix("lin_")), 0.0, 1.0)
+    if config.design != "fixed":
+        n_envs *= ROBOTS_PER_BODY
+    if config.open_loop:
+        env_kwargs["frame_skip"] = config.periods_per_step
+        if "n_steps" in settings:  # as many episodes
+            settings["n_steps"] = max(1, settings["n_steps"] // config.periods_per_step)
+    kwargs = None
+    if normalize:
+        kwargs = {"gamma": settings.get("gamma", 0.99)} | (
+            normalize if isinstance(normalize, dict) else {}
+        )
+    return Hyperparameters(settings, n_envs, kwargs, env_kwargs, callbacks)
+
+
+def _callback(entry: str | dict[str, dict[str, Any]]) -> BaseCallback:
+    """An entry of `callback`: the path of a class, or that with its keywords."""
+    path, keywords = (entry, {}) if isinstance(entry, str) else next(iter(entry.items()))
+    module, name = path.rsplit(".", 1)
+    made: BaseCallback = getattr(importlib.import_module(module), name)(**keywords)
+    return made

@@ -1,0 +1,176 @@
+"""Trained policies: what is kept of them, and robots that crawl by them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils.seeding import np_random
+from numpy.typing import NDArray
+from sb3_contrib import ARS, TQC
+from stable_baselines3 import A2C, PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecNormalize
+
+from baselines.config import TrainConfig, TrainingError, hyperparameters
+from baselines.records import Record, evaluations
+from baselines.vec_env import CaterpillarVecEnv
+from caterpillar_env.episodes import Episodes
+from caterpillar_env.model import Physics
+from caterpillar_env.morphology import Morphology
+from caterpillar_env.simulation import Trace
+from evolution.fitness import Outcomes
+from evolution.individual import write_json
+
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
+    "ppo": PPO, "a2c": A2C, "sac": SAC, "tqc": TQC, "ars": ARS,
+}  # fmt: skip
+Which = Literal["best", "last"]
+
+
+def settings(config: TrainConfig, **other: Any) -> dict[str, Any]:
+    """Arguments of the environment that a policy was trained for, and is judged in."""
+    return {"physics": config.physics, **hyperparameters(config).env_kwargs, **other}
+
+
+def judge(config: TrainConfig, **other: Any) -> Episodes:
+    """One robot for policies to be judged by, which meets with nothing at random."""
+    return Episodes(1, threads=1, action_mode=config.mode, **settings(config, **other))
+
+
+class AtRandom:
+    """Chooses every action evenly from the space."""
+
+    def __init__(self, space: spaces.Space[Any], seed: int) -> None:
+        self._space = space
+        space.seed(seed)
+
+    def predict(self, observation: Any, deterministic: bool = False) -> tuple[NDArray[Any], None]:
+        """An action for each observation."""
+        return np.array([self._space.sample() for _ in observation]), None
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A policy with the normalisation of observations that it was trained with."""
+
+    actor: BaseAlgorithm | AtRandom
+    normalizer: VecNormalize | None
+
+    def crawl(
+        self,
+        robot: Episodes,
+        seed: int,
+        morphology: Morphology,
+        *,
+        deterministic: bool = True,
+        on_interval: Callable[[Trace | None], None] | None = None,
+        trace: bool = False,
+    ) -> Outcomes:
+        """One episode of a single robot.
+
+        Args:
+            robot: see `judge`.
+            seed: of the episode.
+            morphology: the body.
+            deterministic: whether the likeliest action is taken, not a drawn one.
+            on_interval: see `Crawl.run`.
+            trace: likewise.
+        """
+        row = np.array([0])
+        seen: Any = robot.reset(row, [morphology], [np_random(seed)[0]])[0]
+        ended = False
+        while not ended:
+            if self.normalizer is not None:
+                seen = self.normalizer.normalize_obs(seen)
+            action, _ = self.actor.predict(seen, deterministic=deterministic)
+            step = robot.step(robot.checked(action, 1), row, on_interval, trace=trace)
+            seen, ended = step.observation, bool(step.terminated[0] or step.truncated[0])
+        final = robot.crawl.progress(row)
+        return Outcomes(final.failure, final.distance_m, final.energy_j, final.time_s)
+
+
+def load(folder: Path, which: Which = "best") -> Policy:
+    """A policy of a training.
+
+    Raises:
+        TrainingError: the folder holds no training, or none that was evaluated.
+    """
+    config = Record.load(folder).config
+    try:
+        model = ALGORITHMS[config.algorithm].load(folder / f"{which}.zip", device="cpu")
+    except (OSError, ValueError) as error:
+        raise TrainingError(f"{folder} holds no policy that can be read: {error}") from None
+    statistics = folder / f"{which}_vecnormalize.pkl"
+    if not statistics.exists():
+        return Policy(model, None)
+    normalizer = VecNormalize.load(
+        str(statistics), CaterpillarVecEnv(config.env_id, 1, **settings(config))
+    )
+    normalizer.training = False
+    return Policy(model, normalizer)
+
+
+@dataclass(frozen=True)
+class TrainedRobot:
+    """A body that crawls by a policy, in some physics: what `Individual` is to a genome."""
+
+    policy: Policy
+    config: TrainConfig
+    morphology: Morphology
+    physics: Physics
+    fitness_m: float | None = None  #: as recorded
+
+    @classmethod
+    def load(cls, folder: Path, which: Which = "best") -> TrainedRobot:
+        """The robot of a training, with the body that the policy was judged in.
+
+        Raises:
+            TrainingError: the folder holds no training, or none that was evaluated.
+        """
+        config = Record.load(folder).config
+        rows = evaluations(folder)
+        if not rows:
+            raise TrainingError(f"{folder} holds no policy that was evaluated")
+        able = [row for row in rows if row.failure == "ok"] or rows
+        row = rows[-1] if which == "last" else max(able, key=lambda row: row.distance_m)
+        return cls(load(folder, which), config, row.morphology, config.physics, row.distance_m)
+
+    def simulate(
+        self,
+        timestep_s: float | None = None,
+        *,
+        seed: int | None = None,
+        deterministic: bool = True,
+        on_interval: Callable[[Trace | None], None] | None = None,
+        trace: bool = False,
+    ) -> Outcomes:
+        """Let it crawl for an episode, at its own timestep or another.
+
+        Args:
+            timestep_s: of the physics, s.
+            seed: of the episode; the training's by default.
+            deterministic: see `Policy.crawl`.
+            on_interval: see `Crawl.run`.
+            trace: likewise.
+        """
+        physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
+        return self.policy.crawl(
+            judge(self.config, physics=physics), self.config.seed if seed is None else seed,
+            self.morphology, deterministic=deterministic, on_interval=on_interval, trace=trace,
+        )  # fmt: skip
+
+    def save(self, path: Path) -> None:
+        """Write what it is as JSON, and beside it its policy (.zip) and normalisation (.pkl)."""
+        body = self.morphology.to_dict()
+        write_json(
+            path, {"fitness_m": self.fitness_m, "morphology": body, "training": self.config.to_dict()}
+        )
+        if isinstance(self.policy.actor, BaseAlgorithm):
+            self.policy.actor.save(path.with_suffix(".zip"))
+        if self.policy.normalizer is not None:
+            self.policy.normalizer.save(str(path.with_suffix(".pkl")))

@@ -1,0 +1,96 @@
+"""What is kept of a training beside its policies."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+from baselines.config import TrainConfig, TrainingError, hyperparameters
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.morphology import NAMES, Morphology
+from evolution.individual import write_json
+
+RECORD = "training.json"
+EVALUATIONS = "evaluations.csv"
+TENSORBOARD = "tensorboard"
+
+
+class Point(NamedTuple):
+    """One evaluation of the deterministic policy."""
+
+    simulated_s: float  #: spent so far, training and evaluation
+    distance_m: float
+    energy_j: float
+    time_s: float  #: how long the robot went on
+    failure: str
+    morphology: Morphology  #: of the robot
+
+
+def append(folder: Path, point: Point) -> None:
+    """Add an evaluation to a training's table."""
+    row = point._asdict() | point.morphology.to_dict()
+    del row["morphology"]
+    path = folder / EVALUATIONS
+    new = not path.exists()
+    with path.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, row)
+        if new:
+            writer.writeheader()
+        writer.writerow(row)
+
+
+def evaluations(folder: Path) -> list[Point]:
+    """The evaluations of a training so far."""
+    try:
+        with (folder / EVALUATIONS).open(encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    except OSError:
+        return []
+    return [
+        Point(
+            simulated_s=float(row["simulated_s"]),
+            distance_m=float(row["distance_m"]),
+            energy_j=float(row["energy_j"]),
+            time_s=float(row["time_s"]),
+            failure=row["failure"],
+            morphology=Morphology.of({name: float(row[name]) for name in NAMES}),
+        )
+        for row in rows
+    ]
+
+
+class Record(NamedTuple):
+    """What is kept of a training beside its evaluations and policies."""
+
+    config: TrainConfig
+    versions: dict[str, str]
+    finished: bool
+    wall_s: float | None  #: None while it runs, and if it was killed
+    simulated_s: float
+
+    def save(self, folder: Path) -> None:
+        """Write it into a training's folder, with the hyper-parameters that it really has."""
+        learning = hyperparameters(self.config)
+        shown = {name: value for name, value in learning._asdict().items() if name != "callbacks"}
+        plain = (int, float, str, dict)
+        shown["model"] = {k: v if isinstance(v, plain) else str(v) for k, v in learning.model.items()}
+        data = self._asdict() | {"config": self.config.to_dict(), "hyperparameters": shown}
+        write_json(folder / RECORD, data)
+
+    @classmethod
+    def load(cls, folder: Path) -> Record:
+        """Read it.
+
+        Raises:
+            TrainingError: the folder holds no training, or one that cannot be read.
+        """
+        try:
+            data = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+            del data["hyperparameters"]
+            return cls(**{**data, "config": TrainConfig.from_dict(data["config"])})
+        except OSError:
+            raise TrainingError(f"{folder} holds no training (no {RECORD})") from None
+        except (TypeError, ValueError, KeyError, CaterpillarError) as error:
+            raise TrainingError(f"{folder / RECORD} cannot be read: {error}") from None

@@ -1,0 +1,239 @@
+"""Arms of a study: what is run, whoever runs it, as the study sees it.
+
+Arms are entry points of the group `caterpillar.arms`: classes with the methods of `Arm`. `evolution` is
+the one of this package; other packages add theirs in the same way.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import polars
+
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.task import Failure
+from evolution.evaluators import LocalEvaluator
+from evolution.individual import Individual, Robot
+from evolution.journal import FILE, Journal, JournalError
+from evolution.records import table
+from evolution.run import RunConfig, evolve, read_configuration, resume
+
+_FOREVER = 1_000_000  # generations: the budget ends a run
+
+
+class ArmError(CaterpillarError):
+    """An arm is not described as it must be, or its run has other settings."""
+
+
+class Standing(NamedTuple):
+    """How far a run is."""
+
+    simulated_s: float
+    best_m: float
+
+
+class Arm(Protocol):
+    """What is run, but for the seed and the budget; equal arms run alike."""
+
+    @property
+    def role(self) -> str | None:
+        """What the arm is there for, in words."""
+        ...
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Arm:
+        """The arm of plain data, without `kind`, `seed` and `budget_s`."""
+        ...
+
+    @classmethod
+    def shared(cls, base: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Of what a study's arms have in common, the part that concerns this kind."""
+        ...
+
+    def run(self, folder: Path, seed: int, budget_s: float) -> None:
+        """Run on one thread, or go on; raises ArmError if the folder's run has other settings."""
+        ...
+
+    def is_finished(self, folder: Path, seed: int, budget_s: float) -> bool:
+        """Whether the folder holds a finished run; raises ArmError if it has other settings."""
+        ...
+
+    def standing(self, folder: Path) -> Standing:
+        """How far a run is that may be running."""
+        ...
+
+    def evaluations(self, folder: Path) -> polars.DataFrame:
+        """A finished run: evaluation, generation, failure, distance_m, energy_j, simulated_s, genes."""
+        ...
+
+    def wall_s(self, folder: Path) -> float | None:
+        """Wall time of a finished run that was never interrupted, s."""
+        ...
+
+    def versions(self, folder: Path) -> list[dict[str, str]]:
+        """The versions and machines that a finished run ran under."""
+        ...
+
+    def best(self, folder: Path, budget_s: float) -> Robot | None:
+        """The best robot of a finished run within the budget, if one crawled forwards."""
+        ...
+
+
+def make(data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm:
+    """The arm of plain data: `kind` ("evolution" by default), and that kind's settings.
+
+    Args:
+        data: of the arm.
+        base: what all arms have in common; tables within tables are merged, anything else replaced.
+
+    Raises:
+        CaterpillarError: no such kind, or an unusable setting.
+    """
+    special = dict(data)
+    name = special.pop("kind", "evolution")
+    known = {e.name: e for e in entry_points(group="caterpillar.arms")}
+    if name not in known:
+        raise ArmError(f"kind = {name!r} must be one of {', '.join(sorted(known))}")
+    try:
+        kind: type[Arm] = known[name].load()
+    except ImportError as error:
+        raise ArmError(
+            f"kind {name!r} cannot be used: {error}; pip install 'caterpillar-sma[{name}]'"
+        ) from None
+    return kind.from_dict(_merged(kind.shared(base), special))
+
+
+def _merged(base: Mapping[str, Any], special: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in special.items():
+        old = merged.get(key)
+        both = isinstance(old, Mapping) and isinstance(value, Mapping)
+        merged[key] = _merged(old, value) if both else value  # type: ignore[arg-type]
+    return merged
+
+
+@dataclass(frozen=True)
+class EvolutionArm:
+    """An arm that evolves genomes: a run of the genetic algorithm, CMA-ES or random search."""
+
+    config: RunConfig
+
+    @property
+    def role(self) -> str | None:
+        """See `Arm`."""
+        return _ROLES.get((self.config.optimizer, self.config.prior))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> EvolutionArm:
+        """See `Arm`."""
+        return cls(RunConfig.from_dict(dict(data)))
+
+    @classmethod
+    def shared(cls, base: Mapping[str, Any]) -> Mapping[str, Any]:
+        """See `Arm`."""
+        return base
+
+    def run_config(self, seed: int, budget_s: float) -> RunConfig:
+        """What a run computes."""
+        return replace(self.config, seed=seed, budget_s=budget_s, generations=_FOREVER)
+
+    def run(self, folder: Path, seed: int, budget_s: float) -> None:
+        """See `Arm`."""
+        config = self.run_config(seed, budget_s)
+        if not (folder / FILE).exists():
+            shutil.rmtree(folder, ignore_errors=True)  # begun, but nothing evaluated
+            result = evolve(config, folder, evaluator=LocalEvaluator(1))
+        else:
+            with Journal(folder, read_only=True) as journal:
+                _same_settings(journal, config, folder)
+                if journal.finished:
+                    return
+            result = resume(folder, evaluator=LocalEvaluator(1))
+        if not result.finished:
+            raise ArmError(f"{folder} was interrupted; it goes on when the study is started again")
+
+    def is_finished(self, folder: Path, seed: int, budget_s: float) -> bool:
+        """See `Arm`."""
+        if not (folder / FILE).exists():
+            return False
+        try:
+            with Journal(folder, read_only=True) as journal:
+                _same_settings(journal, self.run_config(seed, budget_s), folder)
+                return journal.finished
+        except JournalError:
+            return False  # whoever runs it will say why
+
+    def standing(self, folder: Path) -> Standing:
+        """See `Arm`."""
+        try:
+            path = f"{(folder / FILE).resolve().as_uri()}?mode=ro"
+            with closing(sqlite3.connect(path, uri=True)) as db:
+                spent, best = db.execute(
+                    "SELECT total(simulated_s), max(CASE status WHEN 'ok' THEN distance_m ELSE 0 END) "
+                    "FROM evaluations"
+                ).fetchone()
+        except sqlite3.Error:
+            return Standing(0.0, 0.0)  # not begun
+        return Standing(spent, max(best or 0.0, 0.0))
+
+    def evaluations(self, folder: Path) -> polars.DataFrame:
+        """See `Arm`."""
+        return table(folder).drop("session", "fitness")
+
+    def wall_s(self, folder: Path) -> float | None:
+        """See `Arm`."""
+        with Journal(folder, read_only=True) as journal:
+            return journal.wall_s
+
+    def versions(self, folder: Path) -> list[dict[str, str]]:
+        """See `Arm`."""
+        with Journal(folder, read_only=True) as journal:
+            return journal.sessions
+
+    def best(self, folder: Path, budget_s: float) -> Individual | None:
+        """See `Arm`."""
+        with Journal(folder, read_only=True) as journal:
+            rows = list(journal.evaluations())
+        spent_s = np.cumsum([row.simulated_s for row in rows])
+        able = [
+            row
+            for row, spent in zip(rows, spent_s, strict=True)
+            if spent <= budget_s and row.failure is Failure.NONE and row.distance_m > 0
+        ]
+        if not able:
+            return None
+        top = max(able, key=lambda row: row.distance_m)
+        config = self.config
+        return Individual.of_genome(
+            top.genome, config.physics, config.gait_period_s, config.genome,
+            fitness_m=top.distance_m, generation=top.generation,
+        )  # fmt: skip
+
+
+def _same_settings(journal: Journal, config: RunConfig, folder: Path) -> None:
+    before, _ = read_configuration(journal)
+    if before != config:
+        raise ArmError(
+            f"{folder} was run with other settings; choose another folder for the study, or remove it"
+        )
+
+
+_ROLES = {
+    ("ga", "uniform"): "The genetic algorithm without preprocessing",
+    ("ga", "preprocessed"): "Preprocessing",
+    ("ga", "init-only"): "Preprocessed initialisation alone",
+    ("ga", "mutation-only"): "Preprocessed mutation alone",
+    ("ga", "mirrored"): "A prior that misleads on purpose",
+    ("random", "uniform"): "Random search",
+    ("random", "preprocessed"): "Random search from the prior",
+    ("cma-es", "uniform"): "CMA-ES",
+    ("cma-es", "preprocessed"): "CMA-ES from the prior",
+}
