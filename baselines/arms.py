@@ -11,7 +11,7 @@ from typing import Any
 import polars
 
 from baselines.comparison import title
-from baselines.config import TrainConfig, TrainingError
+from baselines.config import TrainConfig, TrainingError, hyperparameters
 from baselines.policy import TrainedRobot
 from baselines.records import RECORD, Record, evaluations
 from baselines.training import train
@@ -63,7 +63,8 @@ class TrainArm:
             record = Record.load(folder)
         except TrainingError:
             return False  # killed as it wrote: done anew
-        if record.config != self.train_config(seed, budget_s):
+        config = self.train_config(seed, budget_s)
+        if (record.config, record.hyperparameters) != (config, hyperparameters(config).plain()):
             raise ArmError(
                 f"{folder} was run with other settings; choose another folder for the study, or "
                 "remove it"

@@ -117,6 +117,14 @@ class Hyperparameters(NamedTuple):
     env_kwargs: dict[str, Any]  #: of the environment
     callbacks: list[BaseCallback]
 
+    def plain(self) -> dict[str, Any]:
+        """As plain JSON, without the callbacks: to keep, and to compare."""
+        shown = (int, float, str, dict)
+        model = {k: v if isinstance(v, shown) else str(v) for k, v in self.model.items()}
+        kept = self._replace(model=model)._asdict()
+        del kept["callbacks"]
+        return kept
+
 
 def hyperparameters(config: TrainConfig) -> Hyperparameters:
     """What `hyperparams/ALGORITHM.yml` says of the environment, in rl_zoo3's schema.

@@ -5,9 +5,9 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from baselines.config import TrainConfig, TrainingError, hyperparameters
+from baselines.config import TrainConfig, TrainingError
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import NAMES, Morphology
 from evolution.individual import write_json
@@ -65,19 +65,15 @@ class Record(NamedTuple):
     """What is kept of a training beside its evaluations and policies."""
 
     config: TrainConfig
+    hyperparameters: dict[str, Any]  #: as plain data
     versions: dict[str, str]
     finished: bool
     wall_s: float | None  #: None while it runs, and if it was killed
     simulated_s: float
 
     def save(self, folder: Path) -> None:
-        """Write it into a training's folder, with the hyper-parameters that it really has."""
-        learning = hyperparameters(self.config)
-        shown = {name: value for name, value in learning._asdict().items() if name != "callbacks"}
-        plain = (int, float, str, dict)
-        shown["model"] = {k: v if isinstance(v, plain) else str(v) for k, v in learning.model.items()}
-        data = self._asdict() | {"config": self.config.to_dict(), "hyperparameters": shown}
-        write_json(folder / RECORD, data)
+        """Write it into a training's folder."""
+        write_json(folder / RECORD, self._asdict() | {"config": self.config.to_dict()})
 
     @classmethod
     def load(cls, folder: Path) -> Record:
@@ -88,7 +84,6 @@ class Record(NamedTuple):
         """
         try:
             data = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-            del data["hyperparameters"]
             return cls(**{**data, "config": TrainConfig.from_dict(data["config"])})
         except OSError:
             raise TrainingError(f"{folder} holds no training (no {RECORD})") from None

@@ -66,7 +66,7 @@ def train(
     """
     _prepare(folder)
     learning = hyperparameters(config)
-    record = Record(config, _versions(), finished=False, wall_s=None, simulated_s=0.0)
+    record = Record(config, learning.plain(), _versions(), finished=False, wall_s=None, simulated_s=0.0)
     record.save(folder)
     began = time.perf_counter()
     robots = CaterpillarVecEnv(
