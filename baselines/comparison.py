@@ -101,7 +101,8 @@ def draw(groups: Mapping[str, Sequence[Path]], path: Path) -> None:
         ylabel="distance of the deterministic policy (mm)",
     )
     axis.grid(alpha=0.3)
-    axis.legend(fontsize="small")
+    if groups:
+        axis.legend(fontsize="small")
     try:
         figure.savefig(path, dpi=110)
     except (OSError, ValueError) as error:

@@ -122,7 +122,7 @@ _LEAST = {
 def varied(model: mujoco.MjModel, physics: Physics, conditions: Conditions) -> mujoco.MjModel:
     """A copy of a robot of `physics`, as it is under `conditions`; the air is the springs' affair."""
     changed = copy.copy(model)
-    changed.geom_friction[changed.geom_bodyid > 0, 0] = conditions.friction
+    changed.geom_friction[:, 0] = conditions.friction
     ratio = (np.array(conditions.strengths) / physics.strengths())[:, None]
     for parameters in (changed.actuator_gainprm, changed.actuator_biasprm, changed.actuator_forcerange):
         parameters *= ratio

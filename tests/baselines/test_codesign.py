@@ -11,6 +11,7 @@ from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
 
+pytestmark = pytest.mark.slow
 SMALL = Physics(num_segments=2, timestep_s=0.01)
 
 
@@ -34,7 +35,7 @@ def watched(tmp_path_factory):
         patch.setattr(CoDesign, "_on_rollout_start", started)
         patch.setattr(CoDesign, "_tell", telling)
         config = TrainConfig(
-            "ppo", "timing", design="uniform", budget_s=4000.0, evaluations=4, physics=SMALL
+            "ppo", "timing", design="uniform", budget_s=3000.0, evaluations=4, physics=SMALL
         )
         result = train(config, folder)
     return folder, result, bodies, told

@@ -1,0 +1,156 @@
+"""Reinforcement learning as an arm of a study, beside the genetic algorithm."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import polars
+import pytest
+
+from baselines.arms import TrainArm
+from baselines.records import RECORD, evaluations
+from evolution import analysis, cli, study
+from evolution.arms import ArmError
+from evolution.study import Cell, StudyConfig
+
+pytestmark = pytest.mark.slow
+
+TOML = """
+seeds = [0]
+pilot_seeds = [8]
+budget_s = 300
+reference = "ga"
+threshold_shares = [0.5]
+
+[base]
+prior = "uniform"
+[base.ga]
+population = 4
+hall_of_fame = 1
+[base.physics]
+num_segments = 2
+timestep_s = 0.01
+
+[arms.ga]
+
+[arms.ppo]
+kind = "rl"
+mode = "timing"
+evaluations = 3
+"""
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    home = tmp_path_factory.mktemp("rl-study")
+    (home / "mixed.toml").write_text(TOML)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(home)
+        assert cli.main(["study", "mixed.toml"]) == 0
+    return home / "studies" / "mixed"
+
+
+def test_both_kinds_share_the_physics_and_the_budget(finished):
+    config = study.load(finished)
+    assert isinstance(config.arms["ppo"], TrainArm)
+    assert config.arms["ppo"].config.physics == config.arms["ga"].config.physics
+    frame, missing = study.collect(config, finished)
+    assert not missing
+    spent = frame.group_by("arm", "seed").agg(polars.col("simulated_s").sum())
+    assert {"ga", "ppo"} == set(spent["arm"])
+    ppo = spent.filter(polars.col("arm") == "ppo")["simulated_s"].item()
+    assert 300 - 8 * 5 - 2 * 30 - 5 < ppo <= 300
+
+
+def test_an_evaluation_carries_all_time_since_the_one_before(finished):
+    config = study.load(finished)
+    folder = Cell("ppo", 0).folder(finished)
+    points, rows = evaluations(folder), config.arms["ppo"].evaluations(folder)
+    assert rows["simulated_s"].cum_sum().to_list() == pytest.approx([p.simulated_s for p in points])
+    assert rows["distance_m"].to_list() == [p.distance_m for p in points]
+
+
+def test_report_tells_of_both(finished):
+    page = (finished / "report.html").read_text()
+    assert "Reinforcement learning, ppo timing (ppo)" in page
+    assert (finished / "figures" / "best-so-far.png").exists()
+    known = json.loads((finished / "winners" / "winners.json").read_text())
+    best = study.load(finished).arms["ppo"].best(Cell("ppo", 0).folder(finished), 300)
+    assert ("ppo" in known) == (best is not None)
+
+
+def test_best_robot_is_looked_at_again(finished, tmp_path):
+    from baselines.policy import TrainedRobot
+
+    robot = replace(TrainedRobot.load(Cell("ppo", 0).folder(finished)), fitness_m=0.01)
+    seen = analysis._look_again("ppo", 0, robot)
+    assert seen.recorded_m == 0.01
+    assert seen.reference_m != 0
+    assert seen.friction_m[0] <= seen.friction_m[1]
+    robot.save(tmp_path / "ppo.json")
+    assert {p.suffix for p in tmp_path.iterdir()} == {".json", ".zip", ".pkl"}
+
+
+def test_a_finished_cell_is_not_run_again_and_an_unfinished_one_is_done_anew(finished, tmp_path):
+    config, cell = study.load(finished), Cell("ppo", 0)
+    arm, run = config.arms["ppo"], tmp_path / "cell"
+    shutil.copytree(cell.folder(finished), run)
+    before = (run / "last.zip").stat().st_mtime_ns
+    arm.run(run, 0, 300)
+    assert (run / "last.zip").stat().st_mtime_ns == before
+    record = json.loads((run / RECORD).read_text())
+    (run / RECORD).write_text(json.dumps(record | {"finished": False}))
+    assert not arm.is_finished(run, 0, 300)
+    points = evaluations(run)
+    arm.run(run, 0, 300)
+    assert evaluations(run) == points
+    assert (run / "last.zip").stat().st_mtime_ns > before
+
+
+def test_a_cell_of_other_settings_or_hyperparameters_is_refused(finished, tmp_path):
+    arm, run = study.load(finished).arms["ppo"], tmp_path / "cell"
+    shutil.copytree(Cell("ppo", 0).folder(finished), run)
+    with pytest.raises(ArmError, match="was run with other settings"):
+        arm.is_finished(run, 1, 300)
+    record = json.loads((run / RECORD).read_text())
+    record["hyperparameters"]["n_envs"] = 99
+    (run / RECORD).write_text(json.dumps(record))
+    with pytest.raises(ArmError, match="was run with other settings"):
+        arm.is_finished(run, 0, 300)
+
+
+def test_standing_is_read_while_it_runs(finished, tmp_path):
+    arm, folder = study.load(finished).arms["ppo"], Cell("ppo", 0).folder(finished)
+    assert arm.standing(folder).simulated_s == evaluations(folder)[-1].simulated_s
+    assert arm.standing(tmp_path) == (0.0, 0.0)
+    assert not arm.is_finished(tmp_path, 0, 300)
+    assert arm.versions(folder)[0]["torch"]
+    assert arm.wall_s(folder) > 0
+
+
+@pytest.mark.parametrize(
+    ("arm", "message"),
+    [
+        ({"kind": "magic"}, "arms.x: kind = 'magic' must be one of evolution, rl"),
+        ({"kind": "rl", "luck": 1}, "arms.x: a training has no luck"),
+        ({"kind": "rl", "seed": 1}, "arms.x: seed is the study's to say"),
+        ({"kind": "rl", "algorithm": "sac"}, "arms.x: sac cannot learn in mode 'switch'"),
+    ],
+    ids=str,
+)
+def test_unusable_arms_are_refused(arm, message):
+    data = {
+        "seeds": [0], "pilot_seeds": [1], "budget_s": 300, "reference": "x", "arms": {"x": arm},
+    }  # fmt: skip
+    with pytest.raises(study.StudyError) as caught:
+        StudyConfig.from_dict(data)
+    assert message in str(caught.value)
+
+
+def test_preset_holds_every_row_of_the_comparison():
+    arms = study.preset("rl-pilot").arms
+    trainings = {name: arm.config for name, arm in arms.items() if isinstance(arm, TrainArm)}
+    assert {c.algorithm for c in trainings.values()} == {"ppo", "a2c", "sac", "tqc", "ars"}
+    assert {c.design for c in trainings.values()} == {"fixed", "uniform", "preprocessed"}
+    assert trainings["ppo-bandit"] == replace(trainings["ppo-timing"], open_loop=True)
+    assert {"ga-uniform", "ga-preprocessed", "cma-es-uniform"} <= set(arms)

@@ -1,0 +1,196 @@
+"""Conditions drawn at reset: within their ranges, seeded, told, and with the effect they should have."""
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+
+import caterpillar_env  # noqa: F401
+from caterpillar_env.errors import PhysicsError
+from caterpillar_env.model import Physics, build_model
+from caterpillar_env.morphology import Morphology
+from caterpillar_env.randomization import Conditions, Randomization, varied
+from caterpillar_env.simulation import Simulation
+
+RANGES = {
+    "friction": (0.4, 1.2), "mismatch_std": (0.0, 0.2), "spring_force": (0.8, 1.2), "mass": (0.9, 1.1),
+    "ambient_c": (15.0, 35.0),
+}  # fmt: skip
+P = Physics(num_segments=2, timestep_s=0.01)
+
+
+def conditions(**changes):
+    nominal = {
+        "friction": P.friction, "strengths": tuple(P.strengths().tolist()), "mass": 1.0,
+        "ambient_c": P.spring.ambient_c,
+    }  # fmt: skip
+    return Conditions(**{**nominal, **changes})
+
+
+def arrays(model):
+    names = [n for n in dir(model) if not n.startswith("_")]
+    return {n: getattr(model, n) for n in names if isinstance(getattr(model, n), np.ndarray)}
+
+
+# What a varied robot is
+
+
+def test_a_heavier_robot_is_one_that_was_built_heavier():
+    body = Morphology()
+    light = build_model(body, P, P.strengths(), scenery=False)
+    heavy = build_model(
+        Morphology(segment_mass_kg=1.25 * body.segment_mass_kg), P, P.strengths(), scenery=False
+    )
+    made = varied(light, P, conditions(mass=1.25))
+    for name, value in arrays(heavy).items():
+        np.testing.assert_allclose(getattr(made, name), value, rtol=1e-12, atol=1e-15, err_msg=name)
+
+
+def test_stronger_springs_and_slippery_ground_are_those_of_other_physics():
+    other = Physics(num_segments=2, timestep_s=0.01, friction=0.3, spring_strengths=(1.5,) * 4)
+    expected = build_model(Morphology(), other, other.strengths(), scenery=False)
+    made = varied(
+        build_model(Morphology(), P, P.strengths(), scenery=False), P,
+        conditions(friction=0.3, strengths=(1.5,) * 4),
+    )  # fmt: skip
+    for name, value in arrays(expected).items():
+        np.testing.assert_allclose(getattr(made, name), value, rtol=1e-12, atol=1e-15, err_msg=name)
+
+
+def test_the_robot_itself_is_left_as_it_was():
+    model = build_model(Morphology(), P, P.strengths(), scenery=False)
+    before = {name: value.copy() for name, value in arrays(model).items()}
+    varied(model, P, conditions(mass=2.0, friction=0.1, strengths=(2.0,) * 4))
+    for name, value in before.items():
+        np.testing.assert_array_equal(getattr(model, name), value, err_msg=name)
+
+
+def test_springs_in_colder_air_need_longer_to_warm_up():
+    simulation = Simulation(3, P, 1)
+    met = [conditions(ambient_c=c) for c in (5.0, P.spring.ambient_c, 45.0)]
+    simulation.reset([Morphology()] * 3, conditions=met)
+    np.testing.assert_allclose(simulation.state().temperature_c.T, [[5.0, 25.0, 45.0]] * 4)
+    simulation.advance(np.ones((3, 60, 4)))
+    cold, nominal, warm = simulation.state().temperature_c[:, 0]
+    assert cold < nominal < warm
+    assert simulation.state().fraction[0, 0] < simulation.state().fraction[2, 0]
+    simulation.advance(np.zeros((3, 6000, 4)))
+    np.testing.assert_allclose(simulation.state().temperature_c.T, [[5.0, 25.0, 45.0]] * 4, atol=0.01)
+
+
+def test_nominal_conditions_change_not_one_bit():
+    plain, met = (Simulation(1, P, 1) for _ in range(2))
+    plain.reset([Morphology()])
+    met.reset([Morphology()], conditions=[conditions()])
+    power = np.zeros((1, 300, 4))
+    power[:, :100, 0] = 1.0
+    for simulation in (plain, met):
+        simulation.advance(power)
+    np.testing.assert_array_equal(plain.qpos(0), met.qpos(0))
+
+
+def test_a_robot_without_conditions_forgets_those_of_the_last_episode():
+    simulation, fresh = Simulation(1, P, 1), Simulation(1, P, 1)
+    simulation.reset([Morphology()], conditions=[conditions(friction=0.1, ambient_c=40.0, mass=1.3)])
+    for one in (simulation, fresh):
+        one.reset([Morphology()])
+        one.advance(np.ones((1, 100, 4)))
+    np.testing.assert_array_equal(simulation.qpos(0), fresh.qpos(0))
+
+
+# What is drawn
+
+
+def test_draws_fill_their_ranges():
+    rng, randomization = np.random.default_rng(0), Randomization(**RANGES)
+    drawn = [randomization.draw(P, rng) for _ in range(400)]
+    for name in ("friction", "mass", "ambient_c"):
+        low, high = RANGES[name]
+        values = np.array([getattr(c, name) for c in drawn])
+        assert low <= values.min() < low + 0.02 * (high - low)
+        assert high - 0.02 * (high - low) < values.max() <= high
+    strengths = np.array([c.strengths for c in drawn])
+    assert strengths.mean() == pytest.approx(1.0, abs=0.02)
+    assert strengths.std() == pytest.approx(np.sqrt(0.2**2 / 3 + 0.4**2 / 12), rel=0.1)
+
+
+def test_what_is_not_randomised_stays_as_in_the_physics():
+    drawn = Randomization(friction=(0.4, 1.2)).draw(P, np.random.default_rng(0))
+    assert drawn == conditions(friction=drawn.friction)
+
+
+def test_one_range_does_not_change_the_draws_of_another():
+    few = Randomization(mass=(0.9, 1.1)).draw(P, np.random.default_rng(3))
+    many = Randomization(**RANGES).draw(P, np.random.default_rng(3))
+    assert few.mass == many.mass
+
+
+@pytest.mark.parametrize(
+    ("ranges", "message"),
+    [
+        ({"friction": (1.0, 0.5)}, "randomization of friction must be two numbers in order, from 0"),
+        ({"friction": 0.5}, "must be two numbers in order"),
+        ({"mass": (0.0, 1.0)}, "randomization of mass must be two numbers in order, above 0"),
+        ({"ambient_c": (20.0, np.inf)}, "randomization of ambient_c"),
+        ({"luck": (0, 1)}, "randomization takes a mapping with fields among friction, mismatch_std"),
+        ([1], "randomization takes a mapping"),
+    ],
+    ids=str,
+)
+def test_unusable_ranges_are_refused(ranges, message):
+    with pytest.raises(PhysicsError, match=message):
+        Randomization.of(ranges)
+
+
+def test_air_in_which_springs_never_cool_is_refused():
+    with pytest.raises(PhysicsError, match=r"must end below 56 degC.*\(20.0, 60.0\)"):
+        gymnasium.make("CaterpillarSMA-v0", randomization={"ambient_c": (20, 60)})
+
+
+# In the environments
+
+SMALL = {"physics": {"num_segments": 2, "timestep_s": 0.01}}
+
+
+def test_nothing_is_told_where_nothing_is_randomised():
+    env = gymnasium.make("CaterpillarSMASwitch-v0", **SMALL)
+    assert "friction" not in env.reset(seed=0)[1]
+    assert "friction" not in env.step(np.zeros(4, dtype=np.int8))[4]
+
+
+def test_rows_draw_as_single_environments_do_and_crawl_alike():
+    vector = gymnasium.make_vec(
+        "CaterpillarSMASwitch-v0", num_envs=3, threads=1, randomization=RANGES, frame_skip=5, **SMALL
+    )
+    single = gymnasium.make(
+        "CaterpillarSMASwitch-v0", randomization=RANGES, frame_skip=5, disable_env_checker=True, **SMALL
+    )
+    many, told = vector.reset(seed=7)
+    one, alone = single.reset(seed=8)
+    assert len(set(told["friction"])) == len(set(told["ambient_c"])) == len(set(told["mass"])) == 3
+    actions = np.zeros((3, 4), dtype=np.int8)
+    actions[:, 0] = 1
+    for _ in range(6):
+        many, _, _, _, told = vector.step(actions)
+        one, _, _, _, alone = single.step(actions[1])
+    np.testing.assert_array_equal(many[1], one)
+    for name in ("friction", "mass", "ambient_c", "spring_strengths"):
+        assert told[name][1] == alone[name]
+    assert len(alone["spring_strengths"]) == 4
+
+
+def test_every_episode_draws_anew_and_a_seed_draws_again():
+    env = gymnasium.make("CaterpillarSMA-v0", randomization={"friction": (0.2, 1.0)}, **SMALL)
+    first, second = env.reset(seed=1)[1]["friction"], env.reset()[1]["friction"]
+    assert first != second
+    assert env.reset(seed=1)[1]["friction"] == first
+
+
+def test_models_in_use_are_those_that_were_drawn():
+    vector = gymnasium.make_vec(
+        "CaterpillarSMA-v0", num_envs=2, threads=1, randomization={"friction": (0.2, 1.0)}, **SMALL
+    )
+    _, told = vector.reset(seed=0)
+    models = vector.unwrapped._episodes.crawl.simulation._models
+    assert all(isinstance(m, mujoco.MjModel) for m in models)
+    assert [m.geom_friction[-1, 0] for m in models] == list(told["friction"])
