@@ -188,9 +188,9 @@ class SmaStep(NamedTuple):
     """What `advance` did with springs of shape S over K steps."""
 
     state: SmaState  #: after the last step
-    fraction: Array  #: xi after each step, shape (K, *S)
+    fraction: Array  #: xi after each step, shape (K,) + S
     enthalpy_j_kg: Array  #: H after each step, likewise
-    power: Array  #: share of the drive power really drawn in each step, shape (K, *S)
+    power: Array  #: share of the drive power really drawn in each step, shape (K,) + S
 
 
 def advance(spring: SmaSpring, state: SmaState, power: Array, step_s: float) -> SmaStep:
@@ -203,7 +203,7 @@ def advance(spring: SmaSpring, state: SmaState, power: Array, step_s: float) -> 
     Args:
         spring: what the springs are made of.
         state: before the first step, arrays of shape S.
-        power: commanded share of the drive power in each step, in [0, 1], shape (K, *S).
+        power: commanded share of the drive power in each step, in [0, 1], shape (K,) + S.
         step_s: length of a step, s.
 
     Returns:
