@@ -17,13 +17,14 @@ html_theme = "furo"
 html_title = "Caterpillar"
 html_copy_source = False
 html_show_sphinx = False
+html_show_copyright = False
 
 myst_heading_anchors = 4  # page.md#a-heading works as it does on GitHub
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
-autodoc_default_options = {"members": True, "show-inheritance": True}
+autodoc_default_options = {"members": True}
 autodoc_mock_imports = ["ray", "stable_baselines3"]  # extras, which the signatures do without
 autodoc_preserve_defaults = True
 default_role = "py:obj"  # `Name` in a docstring is a link where there is something to link to
@@ -39,15 +40,22 @@ def _insert_specification(app: Sphinx, docname: str, source: list[str]) -> None:
         app.env.note_dependency(inspect.getfile(CaterpillarEnv))
 
 
-def _refer_to_page(
+def _before_napoleon(
     app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]
 ) -> None:
-    """Do not read that docstring as reStructuredText among the API."""
-    if obj is CaterpillarEnv:
+    """Keep docstrings from being read as what they are not."""
+    if what in ("attribute", "data", "property"):
+        if lines and lines[0].startswith("Alias for field number"):
+            lines.clear()  # what Python says of a field of a NamedTuple that nobody documents
+        lines[:0] = [
+            "..",
+            "",
+        ]  # else "full: every spring" on the first line is a type and its description
+    elif obj is CaterpillarEnv:  # Markdown
         lines[:] = ["One robot. Its docstring, the specification, is the page :doc:`/environment`.", ""]
 
 
 def setup(app: Sphinx) -> None:
     """Connect the above."""
     app.connect("source-read", _insert_specification)
-    app.connect("autodoc-process-docstring", _refer_to_page, priority=1)
+    app.connect("autodoc-process-docstring", _before_napoleon, priority=1)
