@@ -20,7 +20,7 @@ for name in get_args(OptimizerName):
         config = RunConfig(
             seed=seed,
             optimizer=name,
-            budget_s=200,
+            budget_s=100,
             ga=GaConfig(population=5, hall_of_fame=1),
             cma=CmaConfig(cma_population=5),
             physics=SMALL,

@@ -19,6 +19,6 @@ folder = Path(tempfile.mkdtemp(prefix="caterpillar-"))
 evolve(config, folder, on_generation=tell)
 
 best = Individual.load(folder)  # best.json; the journal beside it holds everybody
-for name, value in best.morphology.to_dict().items():
+for name, value in best.to_dict()["morphology"].items():
     print(f"{name:18} {value:.4f}")
 print(f"again: {1000 * best.simulate().distance_m[0]:.1f} mm; film it: caterpillar replay {folder}")

@@ -37,9 +37,11 @@ def run(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.name)
+@pytest.mark.parametrize(
+    "script", [s for s in SCRIPTS if s.name != "crawl.py"], ids=lambda script: script.name
+)
 def test_example_runs(script, run):
-    assert len(run(script).splitlines()) >= 1
+    assert run(script).strip()
 
 
 def test_robot_crawls_as_far_as_was_recorded(run):
