@@ -6,7 +6,7 @@ import numpy as np
 from caterpillar_env import Morphology
 
 NUM_ROBOTS = 8
-PAIRS_ON = np.array([0, 1 / 2, 2 / 3, 1 / 6, 1 / 3, 5 / 6])  # share of the period: a wave from the tail
+PAIRS_ON = np.array([0, 3, 4, 1, 2, 5]) / 6  # share of the period: a wave from the tail
 
 rng = np.random.default_rng(0)
 bodies = [Morphology.from_unit(rng.random(8)) for _ in range(NUM_ROBOTS)]
