@@ -56,23 +56,23 @@ class Physics:
 
     num_segments: int = 4
     spring: SmaSpring = field(default_factory=SmaSpring)
-    neck_stiffness_n_m_rad: float = 6e-3  # silicone neck, Dragon Skin 10
-    neck_damping_n_m_s_rad: float = 2e-4  # silicone, coil friction, anchors: see docs/physics.md
+    neck_stiffness_n_m_rad: float = 6e-3  #: silicone neck, Dragon Skin 10
+    neck_damping_n_m_s_rad: float = 2e-4  #: silicone, coil friction, anchors: see docs/physics.md
     axial_stiffness_n_m: float = 500.0
     axial_damping_n_s_m: float = 1.0
-    axial_range: float = 0.15  # travel of the prismatic joint as a share of the segment length
-    bend_ratio: float = 2.0  # stiffness and damping of the intra-segment hinge over the neck's
-    bend_axis: Literal["yaw", "pitch"] = "yaw"  # the paper does not say
+    axial_range: float = 0.15  #: travel of the prismatic joint as a share of the segment length
+    bend_ratio: float = 2.0  #: stiffness and damping of the intra-segment hinge over the neck's
+    bend_axis: Literal["yaw", "pitch"] = "yaw"  #: the paper does not say
     friction: float = 0.8
-    mismatch_std: float = 0.05  # spread of the springs' strength from one to another
-    mismatch_seed: int = 0  # which robot of that spread
-    spring_strengths: tuple[float, ...] | None = None  # measured ones, instead of drawn
+    mismatch_std: float = 0.05  #: spread of the springs' strength from one to another
+    mismatch_seed: int = 0  #: which robot of that spread
+    spring_strengths: tuple[float, ...] | None = None  #: measured ones, instead of drawn
     timestep_s: float = 0.005
     integrator: Literal["discrete", "implicitfast"] = "discrete"
     solver: Literal["newton", "cg"] = "newton"
     cone: Literal["elliptic", "pyramidal"] = "elliptic"
-    impratio: float = 100.0  # grip: at 30 some robots creep 2 mm in 30 s
-    contact_time_constant_s: float = 0.02  # MuJoCo's own default
+    impratio: float = 100.0  #: grip: at 30 some robots creep 2 mm in 30 s
+    contact_time_constant_s: float = 0.02  #: MuJoCo's own default
     solver_tolerance: float = 1e-8
     solver_iterations: int = 100
 

@@ -36,27 +36,27 @@ class SmaSpring:
             must be positive is not.
     """
 
-    wire_diameter_m: float = 0.15e-3  # BMX150-like micro coil
-    coil_diameter_m: float = 0.47e-3  # mean diameter of the coil
+    wire_diameter_m: float = 0.15e-3  #: BMX150-like micro coil
+    coil_diameter_m: float = 0.47e-3  #: mean diameter of the coil
     turns: float = 100.0
-    density_kg_m3: float = 6450.0  # Dynalloy F1140 sheet
-    specific_heat_j_kg_k: float = 500.0  # fitted to the heating column of the sheet; 450-837 plausible
-    latent_heat_j_kg: float = 24_200.0  # Dynalloy F1140 sheet
-    resistivity_ohm_m: float = 0.98e-6  # 55.5 ohm/m at 0.15 mm, Dynalloy F1140 sheet
-    convection_w_m2_k: float = 110.0  # Churchill-Chu cylinder and radiation at 0.15 mm
-    coil_shielding: float = 0.7  # share of a straight wire's convection; judgement, 0.5-1
-    austenite_start_c: float = 68.0  # As, under load
-    austenite_finish_c: float = 78.0  # Af
-    martensite_start_c: float = 66.0  # Ms, fitted to the cooling column of the sheet
-    martensite_finish_c: float = 56.0  # Mf, likewise
+    density_kg_m3: float = 6450.0  #: Dynalloy F1140 sheet
+    specific_heat_j_kg_k: float = 500.0  #: fitted to the heating column of the sheet; 450-837 plausible
+    latent_heat_j_kg: float = 24_200.0  #: Dynalloy F1140 sheet
+    resistivity_ohm_m: float = 0.98e-6  #: 55.5 ohm/m at 0.15 mm, Dynalloy F1140 sheet
+    convection_w_m2_k: float = 110.0  #: Churchill-Chu cylinder and radiation at 0.15 mm
+    coil_shielding: float = 0.7  #: share of a straight wire's convection; judgement, 0.5-1
+    austenite_start_c: float = 68.0  #: As, under load
+    austenite_finish_c: float = 78.0  #: Af
+    martensite_start_c: float = 66.0  #: Ms, fitted to the cooling column of the sheet
+    martensite_finish_c: float = 56.0  #: Mf, likewise
     ambient_c: float = 25.0
-    austenite_stiffness_n_m: float = 35.0  # secant: 0.70 N at 36 mm
-    martensite_stiffness_n_m: float = 10.0  # 0.20 N at 36 mm, the detwinning plateau
-    austenite_rest_length_m: float = 0.016  # solid length: turns x wire diameter, rounded up
+    austenite_stiffness_n_m: float = 35.0  #: secant: 0.70 N at 36 mm
+    martensite_stiffness_n_m: float = 10.0  #: 0.20 N at 36 mm, the detwinning plateau
+    austenite_rest_length_m: float = 0.016  #: solid length: turns x wire diameter, rounded up
     martensite_rest_length_m: float = 0.016
-    force_limit_n: float = 0.85  # 300 MPa of shear in the wire
-    drive_current_a: float = 0.35  # 90 % hot within about 1 s
-    cut_off_c: float = 120.0  # over-temperature cut-off of the driver
+    force_limit_n: float = 0.85  #: 300 MPa of shear in the wire
+    drive_current_a: float = 0.35  #: 90 % hot within about 1 s
+    cut_off_c: float = 120.0  #: over-temperature cut-off of the driver
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -191,9 +191,9 @@ class SmaStep(NamedTuple):
     """What `advance` did with springs of shape S over K steps."""
 
     state: SmaState  #: after the last step
-    fraction: Array  #: xi after each step, shape (K, *S)
+    fraction: Array  #: xi after each step, shape (K,) + S
     enthalpy_j_kg: Array  #: H after each step, likewise
-    power: Array  #: share of the drive power really drawn in each step, shape (K, *S)
+    power: Array  #: share of the drive power really drawn in each step, shape (K,) + S
 
 
 def advance(
@@ -212,7 +212,7 @@ def advance(
     Args:
         spring: what the springs are made of.
         state: before the first step, arrays of shape S.
-        power: commanded share of the drive power in each step, in [0, 1], shape (K, *S).
+        power: commanded share of the drive power in each step, in [0, 1], shape (K,) + S.
         step_s: length of a step, s.
         ambient_c: temperature of the air where it is not the spring's own, degC, broadcast to S.
 

@@ -30,13 +30,15 @@ Format = Literal["csv", "parquet", "json"]
 def table(folder: Path) -> polars.DataFrame:
     """A row per evaluation of a run: outcome, fitness as the optimizer was told it, genes in SI units.
 
+    Fitness by an objective of the user's own is in no journal, and empty.
+
     Raises:
         JournalError: no journal, damaged, or of a newer version.
     """
     import polars
 
     with Journal(folder, read_only=True) as journal:
-        config, _ = read_configuration(journal)
+        config, own = read_configuration(journal)
         rows = list(journal.evaluations())
     names = [g.name for g in config.genes()]
     genomes = np.array([e.genome for e in rows]).reshape(-1, len(names))
@@ -51,7 +53,7 @@ def table(folder: Path) -> polars.DataFrame:
         "evaluation": np.array([e.number for e in rows], dtype=np.int64),
         "generation": np.array([e.generation for e in rows], dtype=np.int64),
         "failure": [e.failure.label for e in rows],
-        "fitness": scores(outcomes, config),
+        "fitness": scores(outcomes, config) if own.objective is None else [None] * len(rows),
         "distance_m": outcomes.distance_m,
         "energy_j": outcomes.energy_j,
         "simulated_s": outcomes.simulated_s,
@@ -135,7 +137,7 @@ def _summary(folder: Path) -> dict[str, Any]:
     done = 1 + evaluations[-1].generation if evaluations else 0
     row |= {
         "state": "running" if is_in_use(folder) else "finished" if finished else "stopped",
-        "optimizer": own or config.optimizer,
+        "optimizer": own.optimizer or config.optimizer,
         "prior": config.prior,
         "seed": config.seed,
         "generation": f"{done} of {config.generations}" if config.budget_s is None else str(done),

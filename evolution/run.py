@@ -181,6 +181,15 @@ class RunResult(NamedTuple):
 
 
 Told = Callable[[Generation], None]
+#: A fitness of one's own: of P outcomes, (P,), the greater the better; failures are scored elsewhere.
+Score = Callable[[Outcomes], Array]
+
+
+class Own(NamedTuple):
+    """Names of what drove a run from outside of its configuration; None where nothing did."""
+
+    optimizer: str | None = None
+    objective: str | None = None
 
 
 def evolve(
@@ -189,6 +198,7 @@ def evolve(
     *,
     evaluator: Evaluator | None = None,
     optimizer: Optimizer | None = None,
+    objective: Score | None = None,
     on_generation: Told | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> RunResult:
@@ -203,18 +213,24 @@ def evolve(
         evaluator: where to compute it; all threads of this machine by default.
         optimizer: one of your own instead of `config.optimizer`: it asks for genomes in [0, 1] and is
             told their fitness, see `evolution.optimizers.base.Optimizer`.
+        objective: one of your own instead of `config.objective`: takes the `Outcomes` of P robots, gives
+            their fitness, (P,), finite and not negative. What it gives for a failure is replaced by
+            `config.failed_fitness`.
         on_generation: told of each finished generation.
         on_progress: told the share of the current generation that is done.
 
     Raises:
-        RunError: the folder is not empty or cannot be written, or a genome is no genome.
+        RunError: the folder is not empty or cannot be written, a genome is no genome, or an objective of
+            your own gives something else than told above.
         EvaluationError: an evaluation raised an exception.
     """
     _prepare(folder)
-    own = None if optimizer is None else type(optimizer).__qualname__
-    configuration = {**config.to_dict(), "own_optimizer": own}
-    with Journal.create(folder, configuration) as journal:
-        return _run(journal, config, optimizer, evaluator, on_generation, on_progress)
+    own = Own(
+        None if optimizer is None else type(optimizer).__qualname__,
+        None if objective is None else getattr(objective, "__qualname__", type(objective).__qualname__),
+    )
+    with Journal.create(folder, _described(config, own)) as journal:
+        return _run(journal, config, optimizer, objective, evaluator, on_generation, on_progress)
 
 
 def resume(
@@ -223,6 +239,7 @@ def resume(
     generations: int | None = None,
     evaluator: Evaluator | None = None,
     optimizer: Optimizer | None = None,
+    objective: Score | None = None,
     on_generation: Told | None = None,
     on_progress: Callable[[float], None] | None = None,
     on_warning: Callable[[str], None] | None = None,
@@ -234,6 +251,7 @@ def resume(
         generations: a new number of generations, for a run that is to go on for longer.
         evaluator: see `evolve`.
         optimizer: the optimizer at its beginning, where the run was driven by one of your own.
+        objective: likewise.
         on_generation: see `evolve`; generations out of the journal are told too.
         on_progress: see `evolve`.
         on_warning: told what may make the result another than that of the uninterrupted run.
@@ -244,11 +262,12 @@ def resume(
     """
     with Journal(folder) as journal:
         config, own = read_configuration(journal)
-        if own is not None and optimizer is None:
-            raise RunError(
-                f"{folder} was driven by an optimizer of your own ({own}); resume it from Python with "
-                "evolution.run.resume(folder, optimizer=...)"
-            )
+        for what, name, given in zip(Own._fields, own, (optimizer, objective), strict=True):
+            if name is not None and given is None:
+                raise RunError(
+                    f"{folder} was driven by an {what} of your own ({name}); resume it from Python with "
+                    f"evolution.run.resume(folder, {what}=...)"
+                )
         if generations is not None:
             if generations < config.generations:
                 raise RunError(
@@ -256,17 +275,21 @@ def resume(
                     f"{generations} is less"
                 )
             config = replace(config, generations=generations)
-            journal.configure({**config.to_dict(), "own_optimizer": own})
+            journal.configure(_described(config, own))
         if on_warning is not None:
             _warn_of_versions(journal, on_warning)
-        return _run(journal, config, optimizer, evaluator, on_generation, on_progress)
+        return _run(journal, config, optimizer, objective, evaluator, on_generation, on_progress)
 
 
-def read_configuration(journal: Journal) -> tuple[RunConfig, str | None]:
-    """The configuration, and the name of the optimizer where it was the user's own."""
+def read_configuration(journal: Journal) -> tuple[RunConfig, Own]:
+    """The configuration, and the names of what was the user's own."""
     data = journal.configuration
-    own = data.pop("own_optimizer")
+    own = Own(*(data.pop(f"own_{what}", None) for what in Own._fields))
     return RunConfig.from_dict(data), own
+
+
+def _described(config: RunConfig, own: Own) -> dict[str, Any]:
+    return config.to_dict() | {f"own_{what}": name for what, name in own._asdict().items()}
 
 
 def _warn_of_versions(journal: Journal, warn: Callable[[str], None]) -> None:
@@ -300,6 +323,7 @@ def _run(
     journal: Journal,
     config: RunConfig,
     optimizer: Optimizer | None,
+    objective: Score | None,
     evaluator: Evaluator | None,
     on_generation: Told | None,
     on_progress: Callable[[float], None] | None,
@@ -308,7 +332,7 @@ def _run(
     num_genes = len(config.genes())
     known = list(journal.evaluations())
     session = journal.begin()
-    record = _Record(config, journal.path.parent)
+    record = _Record(config, objective, journal.path.parent)
     try:
         with evaluator or LocalEvaluator() as workers:
             for number in range(config.generations):
@@ -324,8 +348,7 @@ def _run(
                     journal.append(first + done, number, part_of, outcomes, session)
                     parts.append(outcomes)
                 outcomes = Outcomes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-                score = scores(outcomes, config)
-                optimizer.tell(genomes, score)
+                optimizer.tell(genomes, scores(outcomes, config, objective))
                 told = record.add(number, genomes, outcomes, replayed=replayed == len(genomes))
                 if on_generation is not None:
                     on_generation(told)
@@ -335,13 +358,30 @@ def _run(
     return RunResult(record.best, record.history, finished=True)
 
 
-def scores(outcomes: Outcomes, config: RunConfig) -> Array:
-    """The fitness that an optimizer is told, not negative, (P,)."""
+def scores(outcomes: Outcomes, config: RunConfig, objective: Score | None = None) -> Array:
+    """The fitness that an optimizer is told, not negative, (P,).
+
+    Args:
+        outcomes: of P robots.
+        config: of the run.
+        objective: one of the user's own, see `evolve`.
+
+    Raises:
+        RunError: the user's own objective gives another shape, or a negative number, NaN or infinity.
+    """
+    ok = outcomes.failure == Failure.NONE
     value = outcomes.fitness(0.0)
-    if config.objective == "distance-per-energy":
+    if objective is not None:
+        value = np.asarray(objective(outcomes), dtype=np.float64)
+        if value.shape != ok.shape or not ((value[ok] >= 0) & (value[ok] < np.inf)).all():
+            raise RunError(
+                f"an objective must give {len(ok)} finite numbers, not negative, one a robot, shape "
+                f"{ok.shape}; got {value.tolist()}, shape {value.shape}"
+            )
+    elif config.objective == "distance-per-energy":
         drawn_j = outcomes.energy_j
         value = np.divide(value, drawn_j, out=np.zeros_like(value), where=drawn_j > 0)
-    return np.where(outcomes.failure == Failure.NONE, value, config.failed_fitness)
+    return np.where(ok, value, config.failed_fitness)
 
 
 def _replayed(known: Sequence[Evaluation], genomes: Array, path: Path) -> list[Outcomes]:
@@ -381,8 +421,8 @@ def _evaluated(
 class _Record:
     """What has come out so far; the best robot is kept in a file."""
 
-    def __init__(self, config: RunConfig, folder: Path) -> None:
-        self._config, self._folder = config, folder
+    def __init__(self, config: RunConfig, objective: Score | None, folder: Path) -> None:
+        self._config, self._objective, self._folder = config, objective, folder
         self._started = time.monotonic()
         self._top = 0.0
         self.best: Individual | None = None
@@ -392,7 +432,7 @@ class _Record:
     def add(self, number: int, genomes: Array, outcomes: Outcomes, *, replayed: bool) -> Generation:
         config = self._config
         # The best robot is one that did not fail, whatever a failure is worth.
-        crawled = scores(outcomes, replace(config, failed_fitness=0.0))
+        crawled = scores(outcomes, replace(config, failed_fitness=0.0), self._objective)
         top = int(np.argmax(crawled))
         if crawled[top] > self._top:
             self._top = float(crawled[top])

@@ -18,7 +18,7 @@ from evolution.individual import Individual
 from evolution.journal import FILE, Journal
 from evolution.optimizers.ga import GaConfig
 from evolution.records import table
-from evolution.run import Generation, RunConfig, evolve, read_configuration
+from evolution.run import Generation, Own, RunConfig, evolve, read_configuration
 
 CONFIG = RunConfig(
     seed=4, generations=1, physics=Physics(num_segments=2, timestep_s=0.01, friction=0.7),
@@ -86,7 +86,7 @@ def test_preset_is_found_among_the_other_flags(arguments, expected):
 def test_flags_change_a_preset_and_leave_the_rest_of_it(run):
     folder, _, _ = run
     with Journal(folder) as journal:
-        assert read_configuration(journal) == (CONFIG, None)
+        assert read_configuration(journal) == (CONFIG, Own())
     assert commands.PRESETS["quick"].generations != CONFIG.generations
 
 

@@ -20,7 +20,7 @@ from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig
 from evolution.optimizers.random_search import RandomSearch
 from evolution.records import table
-from evolution.run import RunConfig, RunError, evolve, read_configuration, resume
+from evolution.run import Own, RunConfig, RunError, evolve, read_configuration, resume
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
 #: So stiff, and so coarsely stepped, that every robot's integration breaks down at once.
@@ -123,7 +123,7 @@ def test_generations_are_told_as_they_are_recorded(run):
 def test_configuration_is_kept_whole(run):
     folder, _ = run
     with Journal(folder) as journal:
-        assert read_configuration(journal) == (CONFIG, None)
+        assert read_configuration(journal) == (CONFIG, Own())
 
 
 def test_a_run_leaves_just_its_record(run):
@@ -465,6 +465,60 @@ def test_an_optimizer_from_elsewhere_drives_a_run_and_its_resumption(tmp_path):
         resume(tmp_path / "part")
     resume(tmp_path / "part", generations=3, evaluator=ONE, optimizer=Halves(12))
     assert table(tmp_path / "part").drop("session").equals(table(tmp_path / "whole").drop("session"))
+
+
+def thrift(outcomes):
+    """An objective from elsewhere, under which the laziest robot is the best."""
+    return 1000 - outcomes.energy_j
+
+
+def test_an_objective_of_ones_own_decides_who_is_best(tmp_path):
+    result = evolve(CONFIG, tmp_path / "run", evaluator=ONE, objective=thrift)
+    data = table(tmp_path / "run").filter(failure="ok")
+    laziest = data.sort("energy_j", "evaluation").to_dicts()[0]
+    assert data["distance_m"].max() > laziest["distance_m"]
+    assert result.best.fitness_m == laziest["distance_m"]
+    assert result.best.generation == laziest["generation"]
+
+
+def test_an_objective_of_ones_own_is_told_to_the_optimizer(tmp_path):
+    told = []
+
+    class Hears(Halves):
+        def tell(self, genomes, fitness):
+            told.extend(fitness)
+
+    config = RunConfig(generations=2, physics=SHORT, failed_fitness=7.0)
+    evolve(config, tmp_path / "run", evaluator=ONE, optimizer=Hears(12), objective=thrift)
+    data = table(tmp_path / "run")
+    expected = [1000 - r["energy_j"] if r["failure"] == "ok" else 7.0 for r in data.to_dicts()]
+    assert told == expected
+
+
+def test_a_run_with_an_objective_of_ones_own_goes_on_with_it_alone(tmp_path):
+    evolve(CONFIG, tmp_path / "whole", evaluator=ONE, objective=thrift)
+    evolve(replace(CONFIG, generations=2), tmp_path / "part", evaluator=ONE, objective=thrift)
+    with pytest.raises(RunError, match=r"an objective of your own \(thrift\); .*objective=\.\.\."):
+        resume(tmp_path / "part", generations=3)
+    resume(tmp_path / "part", generations=3, evaluator=ONE, objective=thrift)
+    part, whole = table(tmp_path / "part"), table(tmp_path / "whole")
+    assert part.drop("session").equals(whole.drop("session"))
+    assert part["fitness"].null_count() == len(part)
+    with Journal(tmp_path / "part") as journal:
+        assert read_configuration(journal) == (CONFIG, Own(objective="thrift"))
+
+
+@pytest.mark.parametrize(
+    "objective",
+    [
+        lambda outcomes: -1 - outcomes.energy_j,
+        lambda outcomes: outcomes.energy_j * np.nan,
+        lambda outcomes: outcomes.energy_j.sum(),
+    ],
+)
+def test_an_objective_that_gives_no_fitness_is_refused(tmp_path, objective):
+    with pytest.raises(RunError, match=r"must give 4 finite numbers, .* shape \(4,\); got"):
+        evolve(CONFIG, tmp_path / "run", evaluator=ONE, objective=objective)
 
 
 def test_an_exception_in_evaluation_stops_the_run_with_the_genome(tmp_path, monkeypatch):

@@ -1,51 +1,139 @@
-"""What the documentation shows can be run."""
+"""What the documentation shows can be run, and what it points to is there."""
 
+import inspect
 import re
+import shlex
 from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import urlsplit
 
 import pytest
 
+from caterpillar_env import CaterpillarEnv
+from evolution import cli
+from evolution.study import read_toml
+
 ROOT = Path(__file__).parents[2]
-EXAMPLES = [
-    (page.name, number, code)
-    for page in sorted((ROOT / "docs").glob("*.md"))
-    for number, code in enumerate(
-        re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+SITE = [page for page in sorted((ROOT / "docs").rglob("*.md")) if "_build" not in page.parts]
+PAGES = [*SITE, *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"))]
+#: Flags that make the commands of a page short; the last of two that contradict each other counts.
+SHORT = {
+    "evolve": "--generations 1 --population 4 --hall-of-fame 1 --cma-population 4 --no-video",
+    "resume": "--generations 2 --no-video",
+    "replay": "--no-video",
+}
+
+
+class Block(NamedTuple):
+    """A fenced block of code, and why it is not run here, where a comment before it tells."""
+
+    reason: str
+    language: str
+    code: str
+
+    @property
+    def commands(self) -> list[list[str]]:
+        """The words of each line of a shell block, without comments."""
+        return [words for line in self.code.splitlines() if (words := shlex.split(line, comments=True))]
+
+
+def text_of(page: Path) -> str:
+    specification = inspect.getdoc(CaterpillarEnv)
+    return page.read_text(encoding="utf-8").replace("<!-- specification -->", specification)
+
+
+def blocks(page: Path) -> list[Block]:
+    comment = r"(?:<!-- (?:not run: )?((?<=not run: )[^\n]+|main-command|test-command) -->\n)?"
+    found = re.findall(
+        comment + r"^```([^\n]*)\n(.*?)^```$", text_of(page), flags=re.DOTALL | re.MULTILINE
     )
-]
+    return [Block(*parts) for parts in found]
+
+
+def named(pages):
+    return pytest.mark.parametrize("page", pages, ids=lambda page: str(page.relative_to(ROOT)))
+
+
+def with_blocks(*languages):
+    chosen = [p for p in PAGES if any(b.language in languages and not b.reason for b in blocks(p))]
+    return named(chosen)
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # of the libraries that the examples show
-@pytest.mark.parametrize(("page", "number", "code"), EXAMPLES, ids=lambda value: str(value)[:20])
-def test_example_runs(page, number, code, tmp_path, monkeypatch):
+@pytest.mark.filterwarnings("default")  # of the libraries that the pages show
+@with_blocks("python", "sh")
+def test_page_can_be_followed(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    exec(compile(code, f"{page} {number}", "exec"), {"__name__": page})
+    (tmp_path / "results").symlink_to(ROOT / "results")
+    for number, block in enumerate(b for b in blocks(page) if not b.reason):
+        if block.language == "python":
+            exec(compile(block.code, f"{page.name} {number}", "exec"), {"__name__": page.stem})
+        elif block.language == "sh":
+            for program, name, *rest in block.commands:
+                assert program == "caterpillar", "say in a comment before the block why it is not run"
+                assert cli.main([name, *rest, *SHORT.get(name, "").split()]) == 0
 
 
-@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.name)
-def test_links_and_pictures_exist(page):
-    text = page.read_text(encoding="utf-8")
-    for target in re.findall(r"\]\((?!https?://)([^)#]+)\)", text):
-        assert (page.parent / target).exists(), target
+@named(PAGES)
+def test_blocks_are_of_a_kind_that_is_looked_after(page):
+    for block in blocks(page):
+        assert block.language in (
+            "python",
+            "sh",
+            "toml",
+            "{toctree}",
+            "{eval-rst}",
+            "{include} ../CHANGELOG.md",
+        ), block
 
 
-@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.name)
+@with_blocks("toml")
+def test_studies_in_the_docs_can_be_run(page, tmp_path):
+    for block in blocks(page):
+        if block.language == "toml":
+            (tmp_path / "study.toml").write_text(block.code)
+            assert len(read_toml(tmp_path / "study.toml").cells()) > 1
+
+
+@named([p for p in PAGES if "\ncaterpillar " in text_of(p)])
 def test_commands_and_their_flags_exist(page, capsys):
-    from evolution import cli
-
-    for line in re.findall(r"^caterpillar (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE):
-        name, *rest = line.split("#")[0].split()
+    lines = [words for block in blocks(page) for words in block.commands if block.language == "sh"]
+    for name, *rest in (words[1:] for words in lines if words[0] == "caterpillar"):
         assert cli.main([name, "--help"]) == 0
         told = capsys.readouterr().out
         for flag in (word for word in rest if word.startswith("--")):
-            assert flag in told, line
+            assert flag in told, (name, flag)
 
 
-@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.name)
-def test_studies_in_the_docs_can_be_run(page, tmp_path):
-    from evolution.study import read_toml
+def anchors(page: Path) -> set[str]:
+    """What headings are called in links, by GitHub's rule."""
+    prose = re.sub(r"^```.*?^```$", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
+    headings = re.findall(r"^#+ (.+)$", prose, flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", h.lower()).strip().replace(" ", "-") for h in headings}
 
-    for text in re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL):
-        (tmp_path / "study.toml").write_text(text)
-        assert len(read_toml(tmp_path / "study.toml").cells()) > 1
+
+@named(PAGES)
+def test_links_lead_somewhere(page):
+    targets = re.findall(r"\]\(([^)\s]+)\)", text_of(page))
+    for target in targets:
+        parts = urlsplit(target)
+        if parts.scheme:
+            assert parts.scheme == "https", target
+            assert re.fullmatch(r"[\w-]+(\.[\w-]+)+", parts.netloc), target
+            continue
+        file = page.parent / parts.path if parts.path else page
+        assert file.exists(), target
+        if parts.fragment:
+            assert parts.fragment in anchors(file), target
+
+
+def test_every_page_is_in_the_contents():
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    contents = {
+        entry
+        for tree in re.findall(r"```{toctree}\n(.*?)```", index, flags=re.DOTALL)
+        for entry in tree.split()
+        if not entry.startswith(":")
+    }
+    pages = {str(page.relative_to(ROOT / "docs").with_suffix("")) for page in SITE} - {"index"}
+    assert pages <= contents

@@ -1,0 +1,61 @@
+"""How the documentation is built; nothing is fetched from the network."""
+
+import inspect
+from importlib.metadata import version as installed_version
+
+from sphinx.application import Sphinx
+
+from caterpillar_env import CaterpillarEnv
+
+project = "Caterpillar"
+author = "the authors of Caterpillar"
+version = release = installed_version("caterpillar-sma")
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_title = "Caterpillar"
+html_copy_source = False
+html_show_sphinx = False
+html_show_copyright = False
+
+myst_heading_anchors = 4  # page.md#a-heading works as it does on GitHub
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
+autodoc_default_options = {"members": True}
+autodoc_mock_imports = ["ray", "stable_baselines3"]  # extras, which the signatures do without
+autodoc_preserve_defaults = True
+default_role = "py:obj"  # `Name` in a docstring is a link where there is something to link to
+napoleon_numpy_docstring = False
+
+_SPECIFICATION = "<!-- specification -->"
+
+
+def _insert_specification(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Put the environment's docstring, which is Markdown, into its page."""
+    if docname == "environment":
+        source[0] = source[0].replace(_SPECIFICATION, inspect.getdoc(CaterpillarEnv) or "")
+        app.env.note_dependency(inspect.getfile(CaterpillarEnv))
+
+
+def _before_napoleon(
+    app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]
+) -> None:
+    """Keep docstrings from being read as what they are not."""
+    if what in ("attribute", "data", "property"):
+        if lines and lines[0].startswith("Alias for field number"):
+            lines.clear()  # what Python says of a field of a NamedTuple that nobody documents
+        lines[:0] = [
+            "..",
+            "",
+        ]  # else "full: every spring" on the first line is a type and its description
+    elif obj is CaterpillarEnv:  # Markdown
+        lines[:] = ["One robot. Its docstring, the specification, is the page :doc:`/environment`.", ""]
+
+
+def setup(app: Sphinx) -> None:
+    """Connect the above."""
+    app.connect("source-read", _insert_specification)
+    app.connect("autodoc-process-docstring", _before_napoleon, priority=1)

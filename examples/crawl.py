@@ -1,0 +1,22 @@
+"""Let the best robot of the pilot study crawl, by its own body and gait, a gait period a step."""
+
+from pathlib import Path
+
+import gymnasium
+
+import caterpillar_env  # noqa: F401  registers the environments
+from evolution.individual import Individual
+
+WINNER = Path(__file__).parents[1] / "results" / "pilot" / "winners" / "ga-preprocessed.json"
+
+robot = Individual.load(WINNER)
+env = gymnasium.make("CaterpillarSMA-v0")
+observation, info = env.reset(seed=0, options={"morphology": robot.morphology})
+action = robot.timings.to_action()
+done = False
+while not done:
+    observation, reward, terminated, truncated, info = env.step(action)
+    done = terminated or truncated
+    print(f"{info['time_s']:4.0f} s  {1000 * info['distance']:6.1f} mm  {info['energy_j']:6.1f} J")
+env.close()
+print(f"it ended {info['failure']}; evolution recorded {1000 * (robot.fitness_m or 0):.1f} mm")

@@ -1,0 +1,34 @@
+"""Gymnasium's wrappers around a robot that switches its springs in a wave; needs moviepy."""
+
+import gymnasium
+import numpy as np
+from gymnasium.wrappers import NormalizeObservation, RecordEpisodeStatistics, RecordVideo
+
+import caterpillar_env  # noqa: F401  registers the environments
+
+PERIOD_STEPS = 25  # of 0.2 s
+DUTY = 0.2  # share of the period in which a spring is powered
+
+env = gymnasium.make(
+    "CaterpillarSMASwitch-v0",
+    frame_skip=2,
+    episode_s=10.0,
+    render_mode="rgb_array",
+    width=320,
+    height=180,
+)
+env = RecordVideo(env, "videos", name_prefix="wave", episode_trigger=lambda episode: True)
+env = NormalizeObservation(env)  # running mean 0 and variance 1
+env = RecordEpisodeStatistics(env)
+
+gap, ventral = np.repeat(np.arange(3), 4), np.tile([0, 0, 1, 1], 3)  # where each spring is
+lead = gap / 3 + ventral / 2  # the tail first, ventral springs half a period after dorsal ones
+observation, info = env.reset(seed=0)
+done, step = False, 0
+while not done:
+    power = (step / PERIOD_STEPS + lead) % 1 < DUTY
+    observation, reward, terminated, truncated, info = env.step(power.astype(np.int8))
+    done, step = terminated or truncated, step + 1
+env.close()
+print(f"return {info['episode']['r']:.2f} in {info['episode']['l']} steps ({info['failure']})")
+print("filmed in videos/wave-episode-0.mp4")
