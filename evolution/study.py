@@ -30,6 +30,7 @@ from evolution.records import table
 from evolution.run import RunConfig, evolve, read_configuration, resume
 
 Array = NDArray[np.float64]
+SETTINGS = "study.json"  #: what is asked
 DATA = "evaluations.parquet"  #: all evaluations of a study in one table
 _FOREVER = 1_000_000  # generations: the budget ends a cell
 
@@ -202,7 +203,7 @@ def begin(config: StudyConfig, folder: Path) -> None:
     Raises:
         StudyError: the folder holds something else, or cells of other settings.
     """
-    file = folder / "study.json"
+    file = folder / SETTINGS
     if not file.exists():
         if folder.exists() and any(folder.iterdir()):
             raise StudyError(f"{folder} is not empty and holds no study; choose another with --out")
@@ -230,11 +231,11 @@ def load(folder: Path) -> StudyConfig:
         StudyError: the folder holds no study, or one that cannot be read.
     """
     try:
-        data = json.loads((folder / "study.json").read_text(encoding="utf-8"))
+        data = json.loads((folder / SETTINGS).read_text(encoding="utf-8"))
     except OSError:
-        raise StudyError(f"{folder} holds no study (no study.json)") from None
+        raise StudyError(f"{folder} holds no study (no {SETTINGS})") from None
     except ValueError as error:
-        raise StudyError(f"{folder / 'study.json'} is not JSON: {error}") from None
+        raise StudyError(f"{folder / SETTINGS} is not JSON: {error}") from None
     return StudyConfig.from_dict(data)
 
 
@@ -324,7 +325,7 @@ def versions(config: StudyConfig, folder: Path) -> list[dict[str, str]]:
     for cell in config.cells():
         if is_finished(config, cell, folder):
             with Journal(cell.folder(folder), read_only=True) as journal:
-                found += [one for one in journal.sessions if one not in found]
+                found += [s.fingerprint for s in journal.sessions if s.fingerprint not in found]
     return found
 
 

@@ -44,7 +44,7 @@ def test_every_bit_comes_back(tmp_path):
     with Journal(tmp_path) as journal:
         rows = list(journal.evaluations())
         assert journal.configuration == CONFIGURATION
-        assert [s["machine"] for s in journal.sessions] == [os.uname().machine]
+        assert [s.fingerprint["machine"] for s in journal.sessions] == [os.uname().machine]
     assert [e.number for e in rows] == [0, 1, 2, 3, 4]
     assert [e.generation for e in rows] == [0, 0, 0, 1, 1]
     assert np.array_equal([e.genome for e in rows], genomes)
