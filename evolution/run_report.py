@@ -128,21 +128,20 @@ def write(folder: Path) -> Path:
     try:
         for name, figure in figures.items():
             plots.save(figure, folder / f"{name}.png")
-        page = folder / PAGE
-        page.write_text(
-            _page(record, generations, {n: plots.inline_svg(f, n) for n, f in figures.items()}),
-            encoding="utf-8",
-        )
+        path = folder / PAGE
+        drawn = {name: plots.inline_svg(figure, name) for name, figure in figures.items()}
+        path.write_text(page(record, drawn), encoding="utf-8")
     except OSError as error:
         raise PageError(
             f"cannot write into {folder}: {error.strerror}; make room there, or copy the run to "
             "a folder that can be written"
         ) from None
-    return page
+    return path
 
 
-def _page(record: Record, generations: list[Generation], figures: Mapping[str, str]) -> str:
-    config = record.config
+def page(record: Record, figures: Mapping[str, str]) -> str:
+    """The text of the page, with figures (SVG elements) of `convergence` and `gait` where there are."""
+    config, generations = record.config, record.generations()
     reasons = Counter(e.failure.label for e in record.evaluations)
     video, no_video = _video(record)
     known = [s.wall_s for s in record.sessions if s.wall_s is not None]

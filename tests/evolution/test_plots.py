@@ -58,7 +58,9 @@ def test_convergence_is_drawn(history, tmp_path):
 
 def test_convergence_shows_failures(tmp_path):
     plots.save(plots.convergence([generation(0), generation(1)], ""), tmp_path / "none.png")
-    plots.save(plots.convergence([generation(0, tipped=4), generation(1, jumped=2)], ""), tmp_path / "some.png")
+    plots.save(
+        plots.convergence([generation(0, tipped=4), generation(1, jumped=2)], ""), tmp_path / "some.png"
+    )
     assert not np.array_equal(picture(tmp_path / "none.png"), picture(tmp_path / "some.png"))
 
 
