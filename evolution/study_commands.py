@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from rich.progress import Progress as Bar
 from rich.text import Text
 
 from caterpillar_env.errors import CaterpillarError
-from evolution import cli, study
+from evolution import cli, machine, study
 from evolution.cells import Processes, Progress, RayTasks, Workers, run_study
 from evolution.commands import picture
 from evolution.journal import FILE as JOURNAL
@@ -55,7 +54,7 @@ def study_command(argv: Sequence[str]) -> int:
     if args.evaluator == "ray":
         workers = RayTasks(args.ray_address)
     else:
-        workers = Processes(args.processes or len(os.sched_getaffinity(0)))
+        workers = Processes(args.processes or machine.cores())
     console = Console(stderr=True, markup=False, highlight=False)
     try:
         with _Display(console) as display:
