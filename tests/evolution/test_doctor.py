@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 
 import pytest
 from packaging.requirements import Requirement
@@ -167,7 +166,6 @@ def test_what_goes_wrong_in_a_trial_is_a_finding(monkeypatch, tmp_path, body, wh
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(doctor, "_PATIENCE_S", 2.0)
     assert doctor._trial("frame") == Trial(None, why)
-    assert signal.Signals.SIGSEGV.name == "SIGSEGV"
 
 
 # caterpillar doctor
@@ -212,9 +210,8 @@ def test_brackets_are_no_markup(trials, monkeypatch, capsys):
 def test_this_machine_passes(capsys):
     assert cli.main(["doctor", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
-    assert 0.5 < said["speed"]["share_of_limit"] < 1.2
-    assert said["speed"]["crawl_s"] + said["speed"]["engine_s"] < 10
-    assert said["speed"]["simulated_s"] > 1
+    assert said["speed"]["simulated_s"] >= 5  # 50 robots
+    assert said["speed"]["share_of_limit"] > 0
     assert {f["name"] for f in said["findings"]} >= {"Python", "drawing", "ffmpeg", "simulation"}
 
 
