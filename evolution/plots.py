@@ -68,7 +68,7 @@ def convergence(history: Sequence[Generation], title: str) -> Figure:
             bottom += counts
     lower.set(xlabel="generation", ylabel="failures")
     for axis in (lower.xaxis, lower.yaxis):
-        axis.set_major_locator(MaxNLocator(integer=True))
+        axis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     if bottom.any():
         lower.legend(fontsize="small")
     return figure
