@@ -177,7 +177,7 @@ def test_video_is_in_the_page_if_it_is_of_the_best_robot(folder):
         (replace(SHORT, optimizer="cma-es", cma=CmaConfig(cma_population=4)), "CMA-ES takes it"),
         (replace(SHORT, optimizer="random", prior="uniform"), "random search on uniform"),
         (replace(SHORT, genome="full"), "gap1 dorsal left on"),
-        (replace(SHORT, genome="per-segment"), "segment2 leg separation"),
+        (replace(CONFIG, genome="per-segment"), "segment2 leg separation"),
         (replace(SHORT, prior="mutation-only"), "the first generation is uniform"),
         (replace(SHORT, objective="distance-per-energy"), "The objective was distance-per-energy"),
         (replace(CONFIG, generations=9, budget_s=100.0), "a budget of 100 simulated seconds"),
