@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -164,12 +166,19 @@ class TrainedRobot:
             self.morphology, deterministic=deterministic, on_interval=on_interval, trace=trace,
         )  # fmt: skip
 
+    @property
+    def digest(self) -> str:
+        """Tells it from any other robot: of what `to_dict` says, and how far it got with its policy."""
+        return hashlib.blake2b(json.dumps(self.to_dict()).encode(), digest_size=16).hexdigest()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON, without the policy itself."""
+        body, asked = self.morphology.to_dict(), self.config.to_dict()
+        return {"fitness_m": self.fitness_m, "morphology": body, "training": asked}
+
     def save(self, path: Path) -> None:
-        """Write what it is as JSON, and beside it its policy (.zip) and normalisation (.pkl)."""
-        body = self.morphology.to_dict()
-        write_json(
-            path, {"fitness_m": self.fitness_m, "morphology": body, "training": self.config.to_dict()}
-        )
+        """Write `to_dict` as JSON, and beside it the policy (.zip) and the normalisation (.pkl)."""
+        write_json(path, self.to_dict())
         if isinstance(self.policy.actor, BaseAlgorithm):
             self.policy.actor.save(path.with_suffix(".zip"))
         if self.policy.normalizer is not None:

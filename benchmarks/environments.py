@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 import caterpillar_env  # noqa: F401  registers the environments
 from benchmarks.harness import report, spread, turns
-from benchmarks.recording import recorded
 from caterpillar_env.model import SMA_STEP_S, Physics
 from caterpillar_env.sma import SmaState, advance
+from evolution.speed import recorded
 
 Array = NDArray[np.float64]
 IDS = {"switch": "CaterpillarSMASwitch-v0", "timing": "CaterpillarSMA-v0"}

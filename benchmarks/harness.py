@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 import sys
 import time
@@ -15,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+
+from evolution.machine import cores, processor
 
 Array = NDArray[np.float64]
 
@@ -77,17 +78,10 @@ def spread(values: Array) -> dict[str, float]:
 
 def machine() -> dict[str, Any]:
     """Where the figures come from."""
-    model = platform.processor() or platform.machine()
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            names = [line.split(":", 1)[1].strip() for line in file if line.startswith("model name")]
-        model = names[0] if names else model
-    except OSError:
-        pass
     packages = ("mujoco", "gymnasium", "numpy")
     return {
-        "processor": model,
-        "cores": len(os.sched_getaffinity(0)),
+        "processor": processor(),
+        "cores": cores(),
         "python": platform.python_version(),
         **{name: version(name) for name in packages},
     }

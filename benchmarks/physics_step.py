@@ -11,9 +11,9 @@ from typing import Any
 import mujoco
 
 from benchmarks.harness import report, rounds, spread, timed
-from benchmarks.recording import Recording, recorded
 from caterpillar_env.model import SMA_STEP_S, Physics
 from caterpillar_env.task import Crawl
+from evolution.speed import Recording, recorded
 from evolution.validation.robots import evolved_robots, together
 
 SECONDS = 5.0

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import report, rounds, spread, timed
-from benchmarks.recording import recorded
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.model import SMA_STEP_S, Physics
 from caterpillar_env.task import EPISODE_S, Crawl
 from evolution.fitness import evaluate, simulate
 from evolution.genome import genes
+from evolution.speed import recorded
 from evolution.validation.robots import random_robots
 
 

@@ -196,7 +196,7 @@ class EvolutionArm:
     def versions(self, folder: Path) -> list[dict[str, str]]:
         """See `Arm`."""
         with Journal(folder, read_only=True) as journal:
-            return journal.sessions
+            return [session.fingerprint for session in journal.sessions]
 
     def best(self, folder: Path, budget_s: float) -> Individual | None:
         """See `Arm`."""

@@ -19,12 +19,13 @@ from caterpillar_env.errors import CaterpillarError
 T = TypeVar("T")
 
 _SUMMARIES = {
+    "doctor": "say what is installed, whether drawing works, and how fast this machine is",
     "evolve": "evolve body and gait: the paper's genetic algorithm, CMA-ES or random search",
     "export": "write the evaluations of a run as CSV, Parquet or JSON",
     "preprocess": "print and draw what the physics-based preprocessor says of each gene",
     "resume": "go on with a run that was stopped, or for more generations",
     "runs": "list the runs in a folder",
-    "report": "write the figures and the page of a study",
+    "report": "write the figures and the page of a run or a study",
     "replay": "simulate a recorded robot once more and make a video",
     "study": "run arms and seeds side by side, and compare them",
     "rl": "train a policy by reinforcement learning, and look at it",

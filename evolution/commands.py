@@ -162,24 +162,29 @@ def _finish(result: RunResult, folder: Path, console: Console, *, video: bool) -
     status = 0 if result.finished else 130
     if not result.finished:
         console.print(f"stopped; go on with: caterpillar resume {folder}")
-    if not result.generations:
-        return status
-    from evolution import plots
-
-    title = f"{folder.name}: {result.generations[-1].evaluations} evaluations"
-    plots.convergence(result.generations, folder / "convergence.png", title)
-    best = result.best
-    if best is None:
-        console.print(f"no robot crawled forwards without failing; see caterpillar export {folder}")
-        return status
-    plots.gait(best, folder / "gait.png")
-    print(
-        f"best: {1000 * (best.fitness_m or 0):.1f} mm in 30 s "
-        f"(generation {best.generation}), in {folder}"
-    )
-    if video:
-        film(best, folder / "best.mp4", console)
+    picture(folder, console, video=video)
     return status
+
+
+def picture(folder: Path, console: Console, *, video: bool) -> Path:
+    """Tell the best robot of a run, and leave its pictures and its page in the folder; the page."""
+    from evolution import run_report
+    from evolution.video import shows
+
+    record = run_report.Record.read(folder)
+    best = record.best
+    if best is None:
+        if record.generations():
+            console.print(f"no robot crawled forwards without failing; see caterpillar export {folder}")
+    else:
+        print(
+            f"best: {1000 * (best.fitness_m or 0):.1f} mm in 30 s "
+            f"(generation {best.generation}), in {folder}"
+        )
+        path = folder / "best.mp4"
+        if video and not (path.exists() and shows(path, best)):
+            film(best, path, console)
+    return run_report.write(folder)
 
 
 def film(robot: Robot, path: Path, console: Console, timestep_s: float | None = None) -> None:
@@ -287,7 +292,7 @@ def preprocess_command(argv: Sequence[str]) -> int:
             _table(priors, [k.name for k in design_parameters(physics)])
         )
     try:
-        plots.densities(priors, args.out)
+        plots.save(plots.densities(priors), args.out)
     except (OSError, ValueError) as error:
         raise CaterpillarError(
             f"cannot write {args.out}: {error}; choose another file with --out"

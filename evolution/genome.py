@@ -10,6 +10,7 @@ A genome is a point of [0, 1]^n; 0 and 1 are a gene's bounds in SI units. Kinds 
 
 from __future__ import annotations
 
+import math
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -36,6 +37,19 @@ class Gene(NamedTuple):
     lower: float
     upper: float
     parameter: str  #: its name without the segment: what the preprocessor has a rule for
+
+    @property
+    def title(self) -> str:
+        """Its name in words, without the unit."""
+        return self.name.removesuffix(f"_{self.unit}").replace("_", " ")
+
+    @property
+    def shown(self) -> tuple[float, str]:
+        """A factor and the unit to which it takes values for people to read: mm, g, °."""
+        return _SHOWN.get(self.unit, (1.0, self.unit))
+
+
+_SHOWN = {"m": (1000.0, "mm"), "kg": (1000.0, "g"), "rad": (math.degrees(1.0), "°")}
 
 
 def genes(num_segments: int, period_s: float, kind: GenomeKind = "shared") -> tuple[Gene, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Callable
@@ -45,6 +46,11 @@ class Robot(Protocol):
     @property
     def fitness_m(self) -> float | None:
         """How far it crawled, as recorded."""
+        ...
+
+    @property
+    def digest(self) -> str:
+        """Tells it from any other robot."""
         ...
 
     def simulate(
@@ -100,6 +106,17 @@ class Individual:
     def timed(self) -> list[str]:
         """Names of what `timings` are of: mirrored pairs or springs."""
         return _TIMED[self._kind](self.physics.num_segments)
+
+    def gene_values(self) -> NDArray[np.float64]:
+        """What each gene says, in the order of `genome.genes`, SI units, (n,)."""
+        bodies = self.morphology if isinstance(self.morphology, tuple) else (self.morphology,)
+        times = np.stack([self.timings.on_s, self.timings.off_s], axis=-1)
+        return np.concatenate([*(body.to_array() for body in bodies), times.ravel()])
+
+    @property
+    def digest(self) -> str:
+        """What tells this robot, with its record, from any other."""
+        return hashlib.blake2b(json.dumps(self.to_dict()).encode(), digest_size=16).hexdigest()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON; every number carries its unit in its name."""

@@ -20,6 +20,7 @@ import sqlite3
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
+from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -77,6 +78,24 @@ class Evaluation(NamedTuple):
     energy_j: float
     simulated_s: float
     session: int
+
+
+class Session(NamedTuple):
+    """One time that a run was started or resumed."""
+
+    number: int  #: from 1
+    started: str  #: date and time, UTC
+    finished: str | None  #: likewise, None where the run did not come to its end in it
+    fingerprint: dict[str, str]  #: what it ran under, see `fingerprint`
+
+    @property
+    def wall_s(self) -> float | None:
+        """Wall time in s, to the second; None where nobody noted the end."""
+        if self.finished is None:
+            return None
+        return (
+            datetime.fromisoformat(self.finished) - datetime.fromisoformat(self.started)
+        ).total_seconds()
 
 
 def outcomes_of(evaluations: Sequence[Evaluation]) -> Outcomes:
@@ -197,11 +216,13 @@ class Journal:
             self._db.execute("UPDATE run SET configuration = ?", [json.dumps(configuration)])
 
     @property
-    def sessions(self) -> list[dict[str, str]]:
-        """The fingerprint of each session in turn."""
+    def sessions(self) -> list[Session]:
+        """Each time that the run was started or resumed, in turn."""
         with _told(self.path):
-            rows = self._db.execute("SELECT fingerprint FROM sessions ORDER BY session").fetchall()
-        return [json.loads(text) for (text,) in rows]
+            rows = self._db.execute(
+                "SELECT session, started, finished, fingerprint FROM sessions ORDER BY session"
+            ).fetchall()
+        return [Session(n, start, end, json.loads(text)) for n, start, end, text in rows]
 
     def begin(self) -> int:
         """Note a new session; its number."""
@@ -223,16 +244,12 @@ class Journal:
     @property
     def finished(self) -> bool:
         """Whether the last session came to the end of the run."""
-        row = self._db.execute("SELECT finished FROM sessions ORDER BY session DESC LIMIT 1").fetchone()
-        return row is not None and row[0] is not None
+        return any(s.finished is not None for s in self.sessions[-1:])
 
     @property
     def wall_s(self) -> float | None:
         """Wall time of a run that was finished in its first session, s, to the second; else None."""
-        rows = self._db.execute(
-            "SELECT (julianday(finished) - julianday(started)) * 86400 FROM sessions ORDER BY session"
-        ).fetchall()
-        return None if not rows or rows[0][0] is None else float(round(rows[0][0]))
+        return next((s.wall_s for s in self.sessions), None)
 
     def append(
         self, first: int, generation: int, genomes: Array, outcomes: Outcomes, session: int

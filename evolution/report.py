@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 import io
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 import polars
 from matplotlib.axes import Axes
@@ -19,6 +17,7 @@ from caterpillar_env.task import Failure
 from evolution import statistics
 from evolution.analysis import Analysis, Winner, arrival, headline, within_budget
 from evolution.arms import EvolutionArm
+from evolution.page import data_url, render
 from evolution.preprocessor import paper_priors
 from evolution.run import RunConfig
 from evolution.statistics import Estimate
@@ -209,12 +208,8 @@ def write(analysis: Analysis, frame: polars.DataFrame, winners: Sequence[Winner]
             picture = io.BytesIO()
             figure.savefig(picture, format="png", dpi=110)
             (folder / "figures" / f"{name}.png").write_bytes(picture.getvalue())
-            figures.append((name, caption, base64.b64encode(picture.getvalue()).decode()))
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True,
-        lstrip_blocks=True, undefined=jinja2.StrictUndefined,
-    )  # fmt: skip
-    environment.filters |= {
+            figures.append((name, caption, data_url("image/png", picture.getvalue())))
+    filters: dict[str, Callable[..., str]] = {
         "mm": lambda m: f"{1000 * m:.1f}",
         "seconds": lambda e: _interval(e, lambda s: f"{s:,.0f}"),
         "ratio": lambda e: _interval(e, lambda r: f"{r:.2f}"),
@@ -222,9 +217,10 @@ def write(analysis: Analysis, frame: polars.DataFrame, winners: Sequence[Winner]
     }
     page = folder / "report.html"
     page.write_text(
-        environment.get_template("study.html").render(
-            name=folder.resolve().name, analysis=analysis, config=analysis.config, winners=winners,
-            sentences=headline(analysis), figures=figures, version=version("caterpillar-sma"),
+        render(
+            "study.html", filters, name=folder.resolve().name, analysis=analysis,
+            config=analysis.config, winners=winners, sentences=headline(analysis), figures=figures,
+            version=version("caterpillar-sma"),
         ),
         encoding="utf-8",
     )  # fmt: skip

@@ -6,6 +6,7 @@ as far as it goes.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -294,7 +295,7 @@ def _described(config: RunConfig, own: Own) -> dict[str, Any]:
 
 def _warn_of_versions(journal: Journal, warn: Callable[[str], None]) -> None:
     now = fingerprint()
-    for number, then in enumerate(journal.sessions, start=1):
+    for number, _, _, then in journal.sessions:
         other = [f"{k} {then.get(k)} (now {v})" for k, v in now.items() if then.get(k) != v]
         if other:
             rows = [e.number for e in journal.evaluations() if e.session == number]
@@ -418,10 +419,22 @@ def _evaluated(
         done += len(outcomes.failure)
 
 
-class _Record:
-    """What has come out so far; the best robot is kept in a file."""
+def history(config: RunConfig, evaluations: Sequence[Evaluation]) -> list[Generation]:
+    """What was told of the generations of a record; their wall time is not in it."""
+    record = _Record(config)
+    for number, rows in itertools.groupby(evaluations, key=lambda e: e.generation):
+        generation = list(rows)
+        genomes = np.array([e.genome for e in generation])
+        record.add(number, genomes, outcomes_of(generation), replayed=True)
+    return record.history
 
-    def __init__(self, config: RunConfig, objective: Score | None, folder: Path) -> None:
+
+class _Record:
+    """What has come out so far; the best robot is kept in a file, where there is a folder."""
+
+    def __init__(
+        self, config: RunConfig, objective: Score | None = None, folder: Path | None = None
+    ) -> None:
         self._config, self._objective, self._folder = config, objective, folder
         self._started = time.monotonic()
         self._top = 0.0
@@ -440,7 +453,8 @@ class _Record:
                 genomes[top], config.physics, config.gait_period_s, config.genome,
                 fitness_m=float(outcomes.distance_m[top]), generation=number,
             )  # fmt: skip
-            self.best.save(self._folder / "best.json")
+            if self._folder is not None:
+                self.best.save(self._folder / "best.json")
         self.evaluations += len(genomes)
         self.simulated_s += float(outcomes.simulated_s.sum())
         counts = np.bincount(outcomes.failure, minlength=len(Failure))

@@ -27,6 +27,7 @@ from evolution.arms import Arm
 from evolution.individual import write_json
 
 Array = NDArray[np.float64]
+SETTINGS = "study.json"  #: what is asked
 DATA = "evaluations.parquet"  #: all evaluations of a study in one table
 
 
@@ -183,7 +184,7 @@ def begin(config: StudyConfig, folder: Path) -> None:
     Raises:
         StudyError: the folder holds something else, or cells of other settings.
     """
-    file = folder / "study.json"
+    file = folder / SETTINGS
     if not file.exists():
         if folder.exists() and any(folder.iterdir()):
             raise StudyError(f"{folder} is not empty and holds no study; choose another with --out")
@@ -211,11 +212,11 @@ def load(folder: Path) -> StudyConfig:
         StudyError: the folder holds no study, or one that cannot be read.
     """
     try:
-        data = json.loads((folder / "study.json").read_text(encoding="utf-8"))
+        data = json.loads((folder / SETTINGS).read_text(encoding="utf-8"))
     except OSError:
-        raise StudyError(f"{folder} holds no study (no study.json)") from None
+        raise StudyError(f"{folder} holds no study (no {SETTINGS})") from None
     except ValueError as error:
-        raise StudyError(f"{folder / 'study.json'} is not JSON: {error}") from None
+        raise StudyError(f"{folder / SETTINGS} is not JSON: {error}") from None
     return StudyConfig.from_dict(data)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,8 +16,10 @@ from rich.progress import Progress as Bar
 from rich.text import Text
 
 from caterpillar_env.errors import CaterpillarError
-from evolution import cli, study
+from evolution import cli, machine, study
 from evolution.cells import Processes, Progress, RayTasks, Workers, run_study
+from evolution.commands import picture
+from evolution.journal import FILE as JOURNAL
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ def study_command(argv: Sequence[str]) -> int:
     if args.evaluator == "ray":
         workers = RayTasks(args.ray_address)
     else:
-        workers = Processes(args.processes or len(os.sched_getaffinity(0)))
+        workers = Processes(args.processes or machine.cores())
     console = Console(stderr=True, markup=False, highlight=False)
     try:
         with _Display(console) as display:
@@ -118,18 +119,30 @@ class _Display:
 
 @dataclass(frozen=True)
 class ReportArgs:
-    """Write figures and report.html of a study, of what is finished of it."""
+    """Write figures and report.html of a run, or of what is finished of a study."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """The study's folder."""
+    """The folder of the run or the study."""
+    video: bool = True
+    """Of a run: make best.mp4, where it is not there or of an earlier robot."""
     winners: bool = True
-    """Look at each arm's best robot again, where that is not done yet: minutes."""
+    """Of a study: look at each arm's best robot again, where that is not done yet: minutes."""
 
 
 def report_command(argv: Sequence[str]) -> int:
     """`caterpillar report`."""
     args = cli.parse(ReportArgs, argv, "report")
-    _report(args.folder, Console(stderr=True, markup=False, highlight=False), look_again=args.winners)
+    console = Console(stderr=True, markup=False, highlight=False)
+    if (args.folder / study.SETTINGS).is_file():
+        _report(args.folder, console, look_again=args.winners)
+    elif (args.folder / JOURNAL).is_file():
+        page = picture(args.folder, console, video=args.video)
+        print(f"written: {page}", file=sys.stderr)
+    else:
+        raise CaterpillarError(
+            f"{args.folder} holds neither a run ({JOURNAL}) nor a study ({study.SETTINGS}); give the "
+            "folder that caterpillar evolve or caterpillar study made"
+        )
     return 0
 
 

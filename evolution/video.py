@@ -67,7 +67,7 @@ def write_video(
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     writer = imageio_ffmpeg.write_frames(
         str(partial), (width, height), fps=FRAMES_PER_SECOND, macro_block_size=2, quality=7,
-        output_params=["-loglevel", "quiet"],
+        output_params=["-loglevel", "quiet", "-metadata", f"comment={robot.digest}"],
     )  # fmt: skip
     try:
         writer.send(None)
@@ -84,3 +84,8 @@ def write_video(
         renderer.close()
         partial.unlink(missing_ok=True)
     return outcomes
+
+
+def shows(path: Path, robot: Robot) -> bool:
+    """Whether a video is of this very robot; best.mp4 outlasts its robot when a run goes on."""
+    return robot.digest.encode() in path.read_bytes()

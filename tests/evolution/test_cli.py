@@ -123,7 +123,7 @@ def test_every_error_is_one_line_and_a_status(arguments, elsewhere, capsys):
 @pytest.mark.parametrize(
     ("arguments", "hint"),
     [
-        (["fly"], "choose from evolve, export, preprocess, replay, report, resume"),
+        (["fly"], "choose from doctor, evolve, export, preprocess, replay, report, resume"),
         (["evolve", "--bogus"], "--bogus"),
         (["evolve", "--population", "many"], "--population"),
         (["evolve", "--population", "-5"], "population = -5 must be at least 2"),
@@ -184,7 +184,7 @@ def test_version_is_a_number(capsys):
 
 def test_evolve_leaves_record_and_figures(recorded):
     assert {p.name for p in recorded.iterdir()} == {
-        "journal.sqlite", ".lock", "best.json", "convergence.png", "gait.png",
+        "journal.sqlite", ".lock", "best.json", "convergence.png", "gait.png", "report.html",
     }  # fmt: skip
     assert table(recorded).shape == (4 + 3, 8 + 20)
 

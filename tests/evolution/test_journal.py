@@ -44,7 +44,7 @@ def test_every_bit_comes_back(tmp_path):
     with Journal(tmp_path) as journal:
         rows = list(journal.evaluations())
         assert journal.configuration == CONFIGURATION
-        assert [s["machine"] for s in journal.sessions] == [os.uname().machine]
+        assert [s.fingerprint["machine"] for s in journal.sessions] == [os.uname().machine]
     assert [e.number for e in rows] == [0, 1, 2, 3, 4]
     assert [e.generation for e in rows] == [0, 0, 0, 1, 1]
     assert np.array_equal([e.genome for e in rows], genomes)
@@ -240,3 +240,18 @@ def test_a_journal_can_be_looked_at_while_it_is_written(tmp_path):
             assert len(other.sessions) == 1
         assert is_in_use(tmp_path)
     assert not is_in_use(tmp_path)
+
+
+def test_sessions_tell_when_they_began_and_ended(tmp_path):
+    with Journal.create(tmp_path, CONFIGURATION) as journal:
+        assert not journal.finished
+        journal.begin()
+        journal.finish(journal.begin())
+        stopped, finished = journal.sessions
+        assert journal.finished
+        assert journal.wall_s is None  # it was not finished in its first session
+    assert (stopped.number, finished.number) == (1, 2)
+    assert stopped.finished is stopped.wall_s is None
+    assert 0 <= finished.wall_s < 60
+    times = {"started": "2026-02-28 23:59:50", "finished": "2026-03-01 00:01:00"}
+    assert finished._replace(**times).wall_s == 70.0

@@ -1,5 +1,7 @@
 """Figures are drawn from every kind of record, into the file that was asked for."""
 
+import re
+
 import numpy as np
 import pytest
 from matplotlib import _pylab_helpers
@@ -50,13 +52,15 @@ def picture(path):
     ids=["one generation", "nobody moves", "everybody fails", "usual"],
 )
 def test_convergence_is_drawn(history, tmp_path):
-    plots.convergence(history, tmp_path / "convergence.png", "a run")
+    plots.save(plots.convergence(history, "a run"), tmp_path / "convergence.png")
     picture(tmp_path / "convergence.png")
 
 
 def test_convergence_shows_failures(tmp_path):
-    plots.convergence([generation(0), generation(1)], tmp_path / "none.png", "")
-    plots.convergence([generation(0, tipped=4), generation(1, jumped=2)], tmp_path / "some.png", "")
+    plots.save(plots.convergence([generation(0), generation(1)], ""), tmp_path / "none.png")
+    plots.save(
+        plots.convergence([generation(0, tipped=4), generation(1, jumped=2)], ""), tmp_path / "some.png"
+    )
     assert not np.array_equal(picture(tmp_path / "none.png"), picture(tmp_path / "some.png"))
 
 
@@ -66,23 +70,49 @@ def test_convergence_shows_failures(tmp_path):
     ids=["never", "round the end", "always"],
 )
 def test_gait_is_drawn_for_any_robot_and_timing(num_segments, on_s, off_s, tmp_path):
-    plots.gait(individual(num_segments, on_s, off_s), tmp_path / "gait.png")
+    plots.save(plots.gait(individual(num_segments, on_s, off_s)), tmp_path / "gait.png")
     picture(tmp_path / "gait.png")
 
 
 def test_gait_shows_the_timings(tmp_path):
-    plots.gait(individual(2, 0.0, 0.5), tmp_path / "short.png")
-    plots.gait(individual(2, 0.0, 1.5), tmp_path / "long.png")
+    plots.save(plots.gait(individual(2, 0.0, 0.5)), tmp_path / "short.png")
+    plots.save(plots.gait(individual(2, 0.0, 1.5)), tmp_path / "long.png")
     assert not np.array_equal(picture(tmp_path / "short.png"), picture(tmp_path / "long.png"))
 
 
 def test_densities_of_all_genes_are_drawn(tmp_path):
     priors = paper_priors(Physics(num_segments=2), PERIOD_S)
-    plots.densities(priors, tmp_path / "densities.png")
+    plots.save(plots.densities(priors), tmp_path / "densities.png")
     picture(tmp_path / "densities.png")
 
 
+def test_a_figure_in_a_page_is_the_same_each_time_and_asks_for_nothing():
+    drawn = [plots.inline_svg(plots.gait(individual(2)), "gait") for _ in range(2)]
+    assert drawn[0] == drawn[1]
+    assert drawn[0].startswith("<svg")
+    assert "gap1" in drawn[0]  # as text
+    links = re.findall(r'href="([^"]*)"', drawn[0])
+    assert links
+    assert all(link.startswith("#") for link in links)
+
+
+def test_figures_of_one_page_share_no_ids():
+    figure = plots.convergence([generation(n, tipped=3) for n in range(3)], "a run")
+    ids = [re.findall(r' id="([^"]+)"', plots.inline_svg(figure, name)) for name in ("one", "other")]
+    assert all(len(set(part)) == len(part) > 0 for part in ids)
+    assert not set(ids[0]) & set(ids[1])
+
+
+def test_power_is_drawn_where_it_is_on():
+    figure = plots.gait(individual(2, 0.5, 1.5))
+    for axis in figure.axes:
+        corners = axis.collections[0].get_paths()[0].vertices
+        on_s = corners[corners[:, 1] > 0.99, 0]
+        assert on_s.min() == pytest.approx(0.5, abs=0.011)
+        assert on_s.max() == pytest.approx(1.5, abs=0.011)
+
+
 def test_drawing_leaves_no_figure_open(tmp_path):
-    plots.convergence([generation(0)], tmp_path / "convergence.png", "")
-    plots.gait(individual(2), tmp_path / "gait.png")
+    plots.save(plots.convergence([generation(0)], ""), tmp_path / "convergence.png")
+    plots.save(plots.gait(individual(2)), tmp_path / "gait.png")
     assert not _pylab_helpers.Gcf.figs

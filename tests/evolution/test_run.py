@@ -20,7 +20,7 @@ from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig
 from evolution.optimizers.random_search import RandomSearch
 from evolution.records import table
-from evolution.run import Own, RunConfig, RunError, evolve, read_configuration, resume
+from evolution.run import Own, RunConfig, RunError, evolve, history, read_configuration, resume
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
 #: So stiff, and so coarsely stepped, that every robot's integration breaks down at once.
@@ -61,6 +61,17 @@ def test_a_run_evaluates_everybody_once_and_elites_never_again(run):
     assert column(folder, "evaluation").tolist() == [*range(8)]
     assert result.finished
     assert [g.evaluations for g in result.generations] == [4, 6, 8]
+
+
+def test_generations_out_of_the_record_are_those_that_were_told(run):
+    folder, result = run
+    best = (folder / "best.json").stat().st_mtime_ns
+    with Journal(folder, read_only=True) as journal:
+        found = history(CONFIG, list(journal.evaluations()))
+    assert all(g.replayed for g in found)
+    known = {"elapsed_s": 0.0, "replayed": True}
+    assert [g._replace(**known) for g in found] == [g._replace(**known) for g in result.generations]
+    assert (folder / "best.json").stat().st_mtime_ns == best
 
 
 def test_columns_are_the_outcome_and_all_genes_by_name(run):

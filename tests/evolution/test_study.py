@@ -379,7 +379,7 @@ def test_unfinished_study_says_what_is_missing_and_draws_the_rest(finished):
         (["study", "a.toml", "--preset", "pilot"], "give either a TOML file or --preset"),
         (["study", "nothing.toml"], "cannot read nothing.toml"),
         (["study", "broken.toml"], "broken.toml is not TOML"),
-        (["report", "nowhere"], "nowhere holds no study"),
+        (["report", "nowhere"], "nowhere holds neither a run (journal.sqlite) nor a study (study.json)"),
         (["report", "begun"], "no run of begun is finished yet"),
     ],
     ids=str,

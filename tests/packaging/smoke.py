@@ -22,7 +22,7 @@ assert Path(caterpillar_env.__file__).with_name("py.typed").exists()
 for module in ("torch", "ray", "stable_baselines3"):
     assert importlib.util.find_spec(module) is None, f"{module} came with the base install"
 import baselines  # noqa: F401, E402
-import evolution  # noqa: E402
+import evolution  # noqa: F401, E402
 
 for name in ("CaterpillarSMA-v0", "CaterpillarSMASwitch-v0"):
     env = gymnasium.make(f"caterpillar_env:{name}")
@@ -33,11 +33,12 @@ for name in ("CaterpillarSMA-v0", "CaterpillarSMASwitch-v0"):
 from evolution.study import preset  # noqa: E402
 
 assert len(preset("pilot").cells()) > 1, "a preset was not packed"
-assert (Path(evolution.__file__).parent / "study.html").exists(), "the page was not packed"
 
 command = Path(sys.executable).with_name("caterpillar")
 run = [command, "evolve", "--preset", "quick", "--population", "4", "--hall-of-fame", "1"]
 subprocess.run([*run, "--generations", "2", "--out", here / "run"], check=True)
 subprocess.run([command, "replay", here / "run", "--no-video"], check=True)
 assert (here / "run" / "best.mp4").stat().st_size > 10_000
+assert "<video" in (here / "run" / "report.html").read_text("utf-8"), "the page was not packed"
+subprocess.run([command, "doctor", "--no-speed"], check=True)
 print("the wheel works outside the checkout")

@@ -1,9 +1,11 @@
+"""What is measured is the very steps that we make."""
+
 import numpy as np
 import pytest
 
-from benchmarks.recording import recorded
 from caterpillar_env import Morphology, Physics
 from caterpillar_env.task import Crawl, Thresholds
+from evolution.speed import Speed, measure, recorded
 
 
 @pytest.fixture(scope="module")
@@ -40,3 +42,17 @@ def test_resets_are_repeated_too():
     batch = calls.batch(threads=1)
     calls.repeat(batch)
     np.testing.assert_array_equal(batch.qpos, [crawl.simulation.qpos(row) for row in range(2)])
+
+
+def test_a_trial_stops_at_its_time_and_tells_what_was_stepped():
+    speed = measure(robots=2, limit_s=0.0, threads=1)
+    assert speed.simulated_s == pytest.approx(0.2)  # one control interval
+    assert speed.threads == 1
+    assert min(speed.build_s, speed.crawl_s, speed.engine_s) > 0
+
+
+def test_time_of_a_run_is_that_of_building_and_of_crawling():
+    speed = Speed(robots=10, simulated_s=100.0, build_s=0.1, crawl_s=0.5, engine_s=0.4, threads=2)
+    assert speed.simulated_s_per_s == 200.0
+    assert speed.share_of_limit == 0.8
+    assert speed.run_s(1000) == pytest.approx(1000 * 0.01 + 30_000 / 200)
