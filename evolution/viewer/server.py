@@ -6,6 +6,7 @@ import contextlib
 import io
 import socket
 import threading
+import warnings
 from types import TracebackType
 
 import numpy as np
@@ -47,6 +48,8 @@ class Viewer:
         self._individual = individual
         self._players: dict[int, Player] = {}
         self._lock = threading.Lock()
+        # Frames that a tab did not wait for when it was closed.
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         Session(individual)  # that it can be run is better found out now than in a page
         _check_port(port)
         with contextlib.redirect_stdout(io.StringIO()):  # viser says where it listens; so do we
