@@ -140,7 +140,8 @@ def _fate(session: Session, *, playing: bool) -> str:
 def _colours(timed: list[str]) -> dict[str, str]:
     """A colour for each gap."""
     gaps = list(dict.fromkeys(name.split("_")[0] for name in timed))
-    return {gap: to_hex(colormaps["viridis"](0.85 * i / len(gaps))) for i, gap in enumerate(gaps)}
+    last = max(len(gaps) - 1, 1)
+    return {gap: to_hex(colormaps["viridis"](0.75 * i / last)) for i, gap in enumerate(gaps)}
 
 
 def _line(name: str, colour: str) -> uplot.Series:
@@ -152,4 +153,6 @@ def _line(name: str, colour: str) -> uplot.Series:
 
 def _legend(colours: dict[str, str]) -> str:
     marks = " ".join(f'<b style="color: {colour}">{gap}</b>' for gap, colour in colours.items())
-    return f'<p style="margin: 0.5em 1em; font-size: 0.85em">{marks}; ventral springs dashed</p>'
+    return (
+        f'<p style="margin: 0.5em 1em; font-size: 0.85em">{marks}, ventral springs dashed; time in s</p>'
+    )

@@ -13,7 +13,7 @@ from evolution.individual import Individual
 
 Array = NDArray[np.float64]
 
-_CLEARER = 0.6  # the shells, so that the springs are seen within them
+_CLEARER = 0.5  # the shells, so that the springs are seen within them
 _GROUND_M = 4.0  # side of the ground; nothing crawls 2 m in 30 s
 
 
