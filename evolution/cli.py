@@ -30,6 +30,7 @@ _SUMMARIES = {
     "study": "run arms and seeds side by side, and compare them",
     "rl": "train a policy by reinforcement learning, and look at it",
     "validate": "check the physics against closed forms, data sheets and finer timesteps",
+    "view": "see a robot crawl in the browser, and change it by hand",
 }
 
 

@@ -1,0 +1,82 @@
+"""`caterpillar view` from outside: what it says, and how it ends."""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+
+import pytest
+
+from evolution import cli
+from evolution.viewer.session import nominal_robot
+
+MAIN = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); \
+from evolution.cli import main; sys.exit(main())"
+
+
+def test_it_serves_a_page_on_loopback_and_ends_on_ctrl_c(tmp_path):
+    pytest.importorskip("viser")
+    nominal_robot().save(tmp_path / "best.json")
+    process = subprocess.Popen(
+        [sys.executable, "-c", MAIN, "view", str(tmp_path), "--port", "0"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        said = process.stdout.readline()
+        url = re.match(r"http://127\.0\.0\.1:\d+", said).group()
+        assert str(tmp_path) in said
+        with urllib.request.urlopen(url, timeout=20) as page:
+            assert b"<html" in page.read(2000).lower()
+    finally:
+        os.kill(process.pid, signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert (out, err) == ("", "caterpillar view: stopped\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (["nothing.json"], "cannot read nothing.json"),
+        (["other.json"], "other.json: expected JSON with"),
+        (["slow.json"], "the gait period of 0.25 s must be a whole multiple of 0.1 s"),
+        (["--port", "70000"], "port 70000 of 127.0.0.1: it is not in 0 to 65535"),
+        (["--port", "-1"], "choose another with --port, or 0 for any free one"),
+        (["--port", "web"], "--port"),
+        (["--bogus"], "--bogus"),
+    ],
+)
+def test_wrong_input_is_one_line(arguments, hint, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("viser")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "other.json").write_text("[1]")
+    nominal_robot().save(tmp_path / "slow.json")
+    text = (tmp_path / "slow.json").read_text()
+    text = re.sub(r'(on_s|off_s)": [0-9.]+', r'\1": 0.1', text)
+    (tmp_path / "slow.json").write_text(text.replace('"period_s": 5.0', '"period_s": 0.25'))
+    assert cli.main(["view", *arguments]) in (1, 2)
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert hint in said.err
+    assert len(said.err.splitlines()) == 1
+
+
+def test_port_that_is_taken_is_said(capsys):
+    pytest.importorskip("viser")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert cli.main(["view", "--port", str(port)]) == 1
+    assert (
+        f"cannot listen on port {port} of 127.0.0.1: Address already in use" in capsys.readouterr().err
+    )
+
+
+def test_without_viser_it_says_what_to_install(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert cli.main(["view"]) == 1
+    assert "pip install 'caterpillar-sma[view]'" in capsys.readouterr().err

@@ -1,0 +1,178 @@
+"""The page in a real browser: Chromium without a window, clicks, pictures and two tabs."""
+
+import io
+import json
+import shutil
+import threading
+import time
+from urllib.parse import urlparse
+
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+
+from evolution.individual import Individual
+from evolution.viewer.session import nominal_robot
+
+pytest.importorskip("viser")
+pytest.importorskip("playwright")
+
+from playwright import sync_api
+
+from evolution.viewer.server import Viewer
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+TIMEOUT_MS = 120_000  # software rendering on a busy machine
+SMALL = {"width": 1024, "height": 500}  # is drawn sooner
+SLIDER_ROW = "xpath=ancestor::div[contains(@class, 'Flex-root')][1]"
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection:UserWarning"),
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium (Debian: apt install chromium)"),
+]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM,
+            args=[
+                "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+                "--disable-quic", "--disable-background-networking",
+            ],
+        )  # fmt: skip
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def viewer():
+    with Viewer(nominal_robot(), 0) as viewer:
+        yield viewer
+
+
+class Tab:
+    """One tab, as its user sees it."""
+
+    def __init__(self, browser, url, **kwargs):
+        self.page = browser.new_page(**kwargs)
+        self.page.set_default_timeout(TIMEOUT_MS)
+        self.requests = []
+        self.errors = []
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        note = self.page.locator("#webgl-software-rendering button")
+        self.page.add_locator_handler(note, lambda note: note.click())
+        self.page.goto(url)
+        self.page.get_by_text("Ready").wait_for()
+
+    def press(self, button):
+        self.page.get_by_role("button", name=button, exact=True).click()
+
+    def distance_mm(self):
+        said = self.page.get_by_text("sideways").inner_text()
+        return float(said.split("distance")[1].split("mm")[0])
+
+    def slider(self, label):
+        row = self.page.locator("label", has_text=label).locator(SLIDER_ROW)
+        return row.locator("input[inputmode=decimal]")
+
+    def picture(self):
+        """The part of the window between the panels, as soon as the robot is drawn."""
+        clip = {"x": 330, "y": 160, "width": 560, "height": 560}
+        return imageio.imread(io.BytesIO(self.page.screenshot(clip=clip)), extension=".png")[..., :3]
+
+    def wait(self, condition):
+        end_s = time.monotonic() + TIMEOUT_MS / 1000
+        while not condition():
+            assert time.monotonic() < end_s
+            self.page.wait_for_timeout(100)
+
+
+def page_threads():
+    return [t for t in threading.enumerate() if t.name == "caterpillar-page"]
+
+
+def greenish(picture):
+    """Pixels of the robot's shells, as a share of all."""
+    red, green, blue = picture.astype(int).transpose(2, 0, 1)
+    return float(((green > red + 8) & (green > blue + 20)).mean())
+
+
+def test_play_moves_the_robot_and_no_other_host_is_asked(browser, viewer):
+    tab = Tab(browser, viewer.url, viewport={"width": 1280, "height": 800})
+    tab.wait(lambda: greenish(tab.picture()) > 0.02)
+    before = tab.picture()
+    assert tab.distance_mm() == 0
+    tab.press("Play")
+    tab.wait(lambda: tab.distance_mm() > 10)
+    after = tab.picture()
+    assert greenish(after) > 0.02  # it is still in view
+    assert (np.abs(before.astype(int) - after).max(axis=2) > 30).mean() > 0.01
+    tab.press("Pause")
+    tab.page.get_by_text("Paused").wait_for()
+    tab.press("Reset")
+    tab.page.get_by_text("Ready").wait_for()
+    assert tab.distance_mm() == 0
+    assert tab.requests
+    assert {urlparse(url.removeprefix("blob:")).hostname for url in tab.requests} == {"127.0.0.1"}
+    assert tab.errors == []
+    tab.page.close()
+
+
+def test_two_tabs_have_robots_of_their_own_which_go_with_them(browser, viewer):
+    first, second = (Tab(browser, viewer.url, viewport=SMALL) for _ in range(2))
+    assert len(page_threads()) == 2
+    first.slider("segment radius").fill("13.5")
+    first.press("Play")
+    first.wait(lambda: first.distance_mm() != 0)
+    assert second.distance_mm() == 0
+    assert second.slider("segment radius").input_value() == "12"
+    assert second.page.get_by_text("Ready").is_visible()
+    first.page.close()
+    second.wait(lambda: len(page_threads()) == 1)
+    second.press("Play")
+    second.wait(lambda: second.distance_mm() != 0)
+    second.page.close()
+    end_s = time.monotonic() + 60
+    while page_threads() and time.monotonic() < end_s:
+        time.sleep(0.1)
+    assert not page_threads()
+
+
+def test_bad_values_cannot_be_entered_and_the_robot_is_saved_as_it_is(browser, viewer, tmp_path):
+    tab = Tab(browser, viewer.url, viewport=SMALL)
+    box = tab.slider("segment radius")
+    for typed, kept in (("99", "15"), ("-3", "9"), ("11.26", "11.2"), ("1e9", None), ("12.5", "12.5")):
+        box.fill("")
+        box.press_sequentially(typed)
+        box.press("Enter")
+        box.blur()
+        if kept is not None:
+            tab.wait(lambda kept=kept: box.input_value() == kept)
+        assert 9 <= float(box.input_value()) <= 15
+    tab.wait(lambda: tab.page.get_by_text("is not in").count() == 0)
+    with tab.page.expect_download() as download:
+        tab.press("Save")
+    download.value.save_as(tmp_path / "robot.json")
+    robot = Individual.load(tmp_path / "robot.json")
+    assert robot.morphology.segment_radius_m == 0.0125
+    assert robot.timings.on_s.tolist() == nominal_robot().timings.on_s.tolist()
+    assert json.loads((tmp_path / "robot.json").read_text())["fitness_m"] is None
+    tab.page.close()
+
+
+def test_phone_shows_the_robot_above_the_controls(browser, viewer):
+    phone = {"width": 390, "height": 844}
+    tab = Tab(browser, viewer.url, viewport=phone, is_mobile=True, has_touch=True)
+
+    def upper_part():
+        shot = tab.page.screenshot(clip={"x": 0, "y": 0, "width": 390, "height": 330})
+        return imageio.imread(io.BytesIO(shot), extension=".png")[..., :3]
+
+    tab.wait(lambda: greenish(upper_part()) > 0.01)
+    tab.press("Play")
+    tab.wait(lambda: tab.distance_mm() != 0)
+    tab.page.close()

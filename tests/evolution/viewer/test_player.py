@@ -1,0 +1,154 @@
+"""Buttons and sliders of one page, without a browser: what they do to its robot."""
+
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from caterpillar_env.gait import GaitTimings
+from caterpillar_env.model import Physics
+from caterpillar_env.morphology import Morphology
+from evolution.individual import Individual
+
+pytest.importorskip("viser")
+
+from evolution.viewer.player import Player
+
+ROBOT = Individual(
+    Morphology(segment_length_m=0.0312345),
+    GaitTimings(2.0, np.array([0.0, 1.0]), np.array([0.6, 1.5])),
+    Physics(num_segments=2, timestep_s=0.01),
+    fitness_m=0.01,
+)
+
+
+class Hand:
+    """Uses the widgets of a page, and reads what it says."""
+
+    def __init__(self, page, player):
+        self.widgets = {handle.label: handle for handle in page.gui._gui_input_handle_from_uuid.values()}
+        self.player = player
+
+    def press(self, button):
+        self.widgets["file" if button in ("Save", "Restore") else "robot"].value = button
+
+    @property
+    def robot(self):
+        return self.player._session.individual
+
+    @property
+    def says(self):
+        return self.player._panel._status.content
+
+    def wait(self, condition):
+        end_s = time.monotonic() + 20
+        while not condition():
+            assert time.monotonic() < end_s, self.says
+            time.sleep(0.01)
+
+    def wait_for(self, text):
+        self.wait(lambda: text in self.says)
+
+
+@pytest.fixture
+def hand(page):
+    player = Player(page, ROBOT)
+    yield Hand(page, player)
+    player.close()
+
+
+def test_play_pause_and_reset(hand):
+    hand.wait_for("Ready")
+    hand.press("Play")
+    hand.wait_for("Crawling")
+    hand.wait(lambda: hand.player._session.time_s > 0.3)
+    hand.press("Pause")
+    hand.wait_for("Paused")
+    at_s = hand.player._session.time_s
+    time.sleep(0.2)
+    assert hand.player._session.time_s == at_s
+    hand.press("Reset")
+    hand.wait_for("Ready")
+    assert hand.player._session.time_s == 0
+
+
+def test_time_passes_as_fast_as_the_slider_says(hand):
+    hand.widgets["speed"].value = 0.1
+    hand.press("Play")
+    began_s = time.monotonic()
+    hand.wait(lambda: hand.player._session.time_s > 0.05)
+    hand.press("Pause")
+    hand.wait_for("Paused")
+    # Never ahead of the clock by more than the control interval that is being shown.
+    assert hand.player._session.time_s <= 0.1 * (time.monotonic() - began_s) + 0.1 + 1e-9
+
+
+def test_it_stops_when_time_is_up_says_so_and_can_be_saved(hand, page, monkeypatch):
+    sent = {}
+    monkeypatch.setattr(page, "send_file_download", lambda name, data, **_: sent.update({name: data}))
+    hand.widgets["speed"].value = 8.0
+    hand.press("Play")
+    hand.wait_for("Time is up")
+    outcomes = ROBOT.simulate(threads=1)
+    assert f"distance **{1000 * outcomes.distance_m[0]:.1f} mm**" in hand.says
+    plots = hand.player._panel
+    assert plots._distance.data[1][-1] == pytest.approx(1000 * outcomes.distance_m[0])
+    assert len(plots._temperature.data) == len(plots._fraction.data) == 1 + 2
+    hand.press("Save")
+    hand.wait(lambda: sent)
+    assert b'"format": "caterpillar-individual-1"' in sent["robot.json"]
+    assert f'"fitness_m": {float(outcomes.fitness()[0])!r}'.encode() in sent["robot.json"]
+    hand.press("Play")  # begins anew
+    hand.wait_for("Crawling")
+
+
+def test_sliders_change_only_what_they_are_of(hand):
+    hand.widgets["segment radius, mm"].value = 13.0
+    hand.wait(lambda: hand.robot is not ROBOT)
+    expected = replace(ROBOT.morphology, segment_radius_m=0.013)
+    assert hand.robot.morphology == expected  # and the length is not the rounded one
+    hand.widgets["friction"].value = 0.5
+    hand.wait(lambda: hand.robot.physics.friction == 0.5)
+    hand.widgets["gap1 ventral off"].value = 1.8
+    hand.wait(lambda: hand.robot.timings.off_s.tolist() == [0.6, 1.8])
+    hand.press("Restore")
+    hand.wait(lambda: hand.robot is ROBOT)
+    assert hand.widgets["segment radius, mm"].value == 12.0
+    assert hand.widgets["gap1 ventral off"].value == 1.5
+    assert hand.player._wanted is ROBOT
+
+
+def test_body_changed_while_it_crawls_starts_anew_and_crawls_on(hand):
+    hand.press("Play")
+    hand.wait(lambda: hand.player._session.time_s > 0.3)
+    hand.widgets["segment radius, mm"].value = 13.0
+    hand.wait(lambda: hand.robot is not ROBOT)
+    hand.wait_for("Crawling")
+    hand.wait(lambda: hand.player._session.time_s > 0)
+
+
+@pytest.mark.parametrize("value", [99.0, -5.0, float("nan")])
+def test_value_out_of_bounds_is_not_taken_and_told(hand, value):
+    slider = hand.widgets["segment radius, mm"]
+    slider.value = value
+    hand.wait_for("segment radius, mm: ")
+    assert "is not in 9 to 15" in hand.says
+    assert hand.robot is ROBOT
+    slider.value = 15.0
+    hand.wait(lambda: "is not in" not in hand.says)
+    assert hand.robot.morphology.segment_radius_m == 0.015
+
+
+def test_closing_frees_the_thread_even_while_it_crawls(page):
+    before = set(threading.enumerate())
+    player = Player(page, ROBOT)
+    (thread,) = set(threading.enumerate()) - before
+    Hand(page, player).press("Play")
+    end_s = time.monotonic() + 20
+    while player._session.time_s < 0.2 and time.monotonic() < end_s:
+        time.sleep(0.01)
+    assert player._session.time_s >= 0.2
+    player.close()
+    assert not thread.is_alive()

@@ -1,0 +1,96 @@
+"""What is drawn is where MuJoCo has it."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from caterpillar_env.model import Physics, build_model
+from caterpillar_env.rendering import spring_colours
+from evolution.viewer.session import Session, nominal_robot
+
+pytest.importorskip("viser")
+
+from evolution.viewer.scene import RobotScene
+
+
+@pytest.fixture
+def crawling():
+    session = Session(nominal_robot())
+    for _ in range(20):
+        session.advance()
+    return session
+
+
+def node(page, name):
+    return page.scene._handle_from_node_name[name]
+
+
+def test_elements_springs_and_colours_are_those_of_the_model(page, crawling):
+    scene = RobotScene(page.scene)
+    scene.build(crawling.individual)
+    qpos, temperature_c = crawling.pose(crawling.time_s)
+    scene.draw(qpos, temperature_c, follow=False)
+    physics = crawling.individual.physics
+    model = build_model(crawling.individual.morphology, physics, physics.strengths())
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    for body in range(1, model.nbody):
+        element = node(page, f"/world/robot/{model.body(body).name}")
+        np.testing.assert_allclose(element.position, data.xpos[body], atol=1e-12)
+        np.testing.assert_allclose(element.wxyz, data.xquat[body], atol=1e-12)
+    springs = node(page, "/world/robot/springs")
+    lengths_m = np.linalg.norm(springs.points[:, 1] - springs.points[:, 0], axis=1)
+    np.testing.assert_allclose(lengths_m, data.ten_length, atol=1e-7)
+    colours = spring_colours(physics.spring, temperature_c)[:, :3]
+    np.testing.assert_allclose(springs.colors[:, 0] / 255, colours, atol=1 / 255)
+    assert len(np.unique(springs.colors[:, 0], axis=0)) > 2
+
+
+def test_all_geoms_of_the_robot_are_there_with_their_sizes(page):
+    robot = replace(nominal_robot(), physics=Physics(num_segments=4))
+    scene = RobotScene(page.scene)
+    scene.build(robot)
+    model = build_model(robot.morphology, robot.physics, robot.physics.strengths())
+    drawn = 0
+    for geom in range(1, model.ngeom):
+        name = f"/world/robot/{model.body(model.geom_bodyid[geom]).name}/geom{geom}"
+        assert node(page, name).radius == pytest.approx(model.geom_size[geom, 0])
+        drawn += 1
+    assert drawn == 8 + 8 + 8  # shells, feet, legs
+
+
+def test_ground_moves_under_a_robot_that_is_followed(page, crawling):
+    scene = RobotScene(page.scene)
+    scene.build(crawling.individual)
+    qpos, temperature_c = crawling.pose(crawling.time_s)
+    moved = qpos + np.r_[0.5, 0.25, np.zeros(len(qpos) - 2)]
+    scene.draw(qpos, temperature_c, follow=True)
+    before = np.array(node(page, "/world").position)
+    scene.draw(moved, temperature_c, follow=True)
+    np.testing.assert_allclose(node(page, "/world").position - before, [-0.5, -0.25, 0], atol=1e-12)
+    scene.draw(moved, temperature_c, follow=False)
+    np.testing.assert_array_equal(node(page, "/world").position, 0)
+
+
+def test_pose_that_is_not_finite_leaves_the_last_one(page, crawling):
+    scene = RobotScene(page.scene)
+    scene.build(crawling.individual)
+    qpos, temperature_c = crawling.pose(crawling.time_s)
+    scene.draw(qpos, temperature_c, follow=False)
+    before = np.array(node(page, "/world/robot/element0").position)
+    scene.draw(np.full_like(qpos, np.nan), temperature_c, follow=False)
+    np.testing.assert_array_equal(node(page, "/world/robot/element0").position, before)
+
+
+def test_another_body_takes_the_place_of_the_first(page):
+    robot = nominal_robot()
+    scene = RobotScene(page.scene)
+    scene.build(robot)
+    wide = replace(robot, morphology=replace(robot.morphology, segment_radius_m=0.015))
+    scene.build(wide)
+    model = build_model(wide.morphology, wide.physics, wide.physics.strengths())
+    shell = model.geom("shell0").id
+    assert node(page, f"/world/robot/element0/geom{shell}").radius == 0.015

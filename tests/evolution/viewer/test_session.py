@@ -1,0 +1,112 @@
+"""The robot of a page repeats what fitness evaluation does, and can be changed on the way."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from caterpillar_env.errors import TimingError
+from caterpillar_env.gait import GaitTimings
+from caterpillar_env.model import SMA_STEP_S, Physics
+from caterpillar_env.morphology import Morphology
+from caterpillar_env.sma import SmaSpring
+from caterpillar_env.task import EPISODE_S, Failure
+from evolution.individual import Individual
+from evolution.viewer.session import Session, nominal_robot
+
+SHORT = Physics(num_segments=2, timestep_s=0.01)
+GAIT = GaitTimings(2.0, np.array([0.0, 1.0]), np.array([0.6, 1.5]))
+
+
+@pytest.fixture
+def robot():
+    return Individual(Morphology(), GAIT, SHORT)
+
+
+def crawled(session, intervals=300):
+    for _ in range(intervals):
+        session.advance()
+    return session
+
+
+def test_nominal_robot_crawls_as_it_is_evaluated():
+    robot = nominal_robot()
+    session = crawled(Session(robot))
+    assert session.over
+    outcomes = robot.simulate(threads=1)
+    assert session.progress.distance_m[0] == outcomes.distance_m[0] > 0.15
+    assert session.progress.energy_j[0] == outcomes.energy_j[0]
+    assert session.failure is Failure.NONE
+    assert session.time_s == pytest.approx(EPISODE_S)
+    assert session.to_save().fitness_m == outcomes.fitness()[0]
+
+
+def test_history_and_poses_are_those_of_the_simulation(robot):
+    session = Session(robot)
+    assert len(session.history.time_s) == 1
+    for _ in range(3):
+        session.advance()
+    history = session.history
+    np.testing.assert_allclose(history.time_s, [0, 0.1, 0.2, 0.3])
+    assert history.temperature_c.shape == history.fraction.shape == (4, 2)
+    ambient = SmaSpring().ambient_c
+    assert history.temperature_c[0] == pytest.approx(ambient)
+    assert history.temperature_c[3, 0] > history.temperature_c[2, 0] > ambient
+    assert history.temperature_c[3, 1] == pytest.approx(ambient)  # not powered yet
+
+    traces = []
+    robot.simulate(threads=1, duration_s=0.3, on_interval=traces.append, trace=True)
+    for step in (0, 4, 9):
+        qpos, temperature_c = session.pose(0.2 + (step + 1) * SMA_STEP_S)
+        np.testing.assert_array_equal(qpos, traces[-1].qpos[0, step])
+        np.testing.assert_array_equal(temperature_c, traces[-1].temperature_c[0, step])
+    np.testing.assert_array_equal(session.pose(99.0)[0], traces[-1].qpos[0, -1])
+    np.testing.assert_array_equal(session.pose(0.0)[0], traces[-1].qpos[0, 0])
+
+
+def test_another_body_or_physics_starts_anew_and_equals_a_fresh_robot(robot):
+    for change in (
+        {"morphology": replace(robot.morphology, segment_length_m=0.025)},
+        {"physics": replace(SHORT, friction=0.3)},
+    ):
+        session = Session(robot)
+        session.advance()
+        other = replace(robot, **change)
+        assert session.change(other)
+        assert session.time_s == 0
+        distance_m = crawled(session, 10).progress.distance_m[0]
+        assert distance_m == crawled(Session(other), 10).progress.distance_m[0]
+        assert distance_m != crawled(Session(robot), 10).progress.distance_m[0]
+
+
+def test_another_gait_goes_on_and_leaves_no_fitness_behind(robot):
+    session = Session(robot)
+    session.advance()
+    idle = replace(robot, timings=GaitTimings(2.0, np.zeros(2), np.zeros(2)))
+    assert not session.change(idle)
+    assert session.time_s == pytest.approx(0.1)
+    hot = session.history.temperature_c[-1, 0]
+    crawled(session)
+    assert session.history.temperature_c[-1, 0] < hot
+    assert session.to_save().fitness_m is None
+    session.reset()
+    assert session.to_save().fitness_m is None  # nothing has happened yet
+    assert crawled(session).to_save().fitness_m is not None
+
+
+def test_robot_that_fails_stops(robot):
+    wide = replace(nominal_robot(), physics=Physics(mismatch_std=3.0, mismatch_seed=1))
+    session = crawled(Session(wide))
+    assert session.failure is not Failure.NONE
+    assert session.time_s < EPISODE_S
+    at_s = session.time_s
+    session.advance()
+    assert session.time_s == at_s
+    assert session.to_save().fitness_m == 0.0
+
+
+def test_gait_that_cannot_be_run_is_refused(robot):
+    with pytest.raises(TimingError, match=r"whole multiple of 0\.1 s"):
+        Session(replace(robot, timings=GaitTimings(0.25, np.zeros(2), np.zeros(2))))
+    with pytest.raises(TimingError, match="times of 4 springs or 2"):
+        Session(replace(robot, timings=GaitTimings(2.0, np.zeros(3), np.zeros(3))))
