@@ -339,7 +339,7 @@ def _set_options(spec: mujoco.MjSpec, p: Physics) -> None:
 
 def _add_shell(body: mujoco.MjsBody, index: int, m: Morphology, make: Make) -> None:
     shade = 1.0 if index % ELEMENTS_PER_SEGMENT == 0 else 0.8
-    colour = [0.95, 0.85, 0.3, 0.3] if index == 0 else [0.5 * shade, 0.8 * shade, 0.35 * shade, 0.3]
+    colour = [0.95, 0.85, 0.3, 0.25] if index == 0 else [0.5 * shade, 0.8 * shade, 0.35 * shade, 0.25]
     make(
         body.add_geom,
         {"name": f"shell{index}", "type": mujoco.mjtGeom.mjGEOM_SPHERE, "rgba": colour},

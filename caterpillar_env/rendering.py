@@ -30,6 +30,7 @@ _why_not: str | None = None
 _CONTACT_RGBA = np.array([*CONTACT_RGB, 0.85])
 _PATH_RGBA = np.array([*PATH_RGB, 1.0])
 _CONTACT_SIZE_M = np.array([0.005, 0.0002, 0.0])  # radius and half thickness of the spot
+_TOUCHING_M = 1e-4
 _PATH_WIDTH_M = 0.0008
 _PATH_STEP_M = 0.002
 
@@ -115,10 +116,9 @@ class RobotRenderer:
         self._camera_config = camera_config
         self._option = mujoco.MjvOption()
         self._option.sitegroup[:] = 0  # the springs show their ends
-        ground = model.geom("ground").id
-        self._ground = ground
         names = [model.geom(i).name for i in range(model.ngeom)]
         self._feet = np.array([i for i, name in enumerate(names) if name.startswith("foot")])
+        self._spheres = np.flatnonzero(model.geom_conaffinity)
         self._foot_rgba = model.geom_rgba[self._feet].copy()
         # Zero of the ruler is where the centre of mass starts: it then reads the distance.
         model.geom(RULER).pos[0] += self.centre_of_mass(model.qpos0)[0]
@@ -160,8 +160,7 @@ class RobotRenderer:
         touching = self._touching()
         self._model.tendon_rgba[:, :3] = spring_rgb(self._spring, temperature_c)
         self._model.geom_rgba[self._feet] = self._foot_rgba
-        down = np.intersect1d(self._feet, touching["geom"])
-        self._model.geom_rgba[down, :3] = CONTACT_RGB
+        self._model.geom_rgba[np.intersect1d(self._feet, touching), :3] = CONTACT_RGB
         if mode == "human":
             self._show()
             return None
@@ -173,7 +172,7 @@ class RobotRenderer:
             picture.disable_depth_rendering()
             return depth
         picture.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
-        for position in touching["pos"]:
+        for position in self._data.geom_xpos[touching]:
             self._add_spot(picture.scene, position)
         if readout is not None:
             if not self._path or np.hypot(*(middle - self._path[-1])[:2]) > _PATH_STEP_M:
@@ -190,11 +189,11 @@ class RobotRenderer:
             self._window.close()  # type: ignore[no-untyped-call]
         self._picture = self._window = None
 
-    def _touching(self) -> dict[str, NDArray[Any]]:
-        """Geoms that touch the ground, (n,), and where, (n, 3)."""
-        contact = self._data.contact
-        pairs = contact.geom.reshape(-1, 2)
-        return {"geom": pairs[pairs != self._ground], "pos": contact.pos.reshape(-1, 3)}
+    def _touching(self) -> NDArray[np.intp]:
+        """Feet and shells that touch the ground, (n,). Straight at the start they only just do."""
+        lowest_m = self._data.geom_xpos[self._spheres, 2] - self._model.geom_size[self._spheres, 0]
+        touching: NDArray[np.intp] = self._spheres[lowest_m < _TOUCHING_M]
+        return touching
 
     def _ready(self) -> mujoco.Renderer:
         global _why_not

@@ -75,8 +75,7 @@ def leaders(folder: Path) -> list[Individual]:
         raise JournalError(f"{folder} holds no evaluations yet; `caterpillar resume {folder}` goes on")
     outcomes = outcomes_of(rows)
     crawled = scores(outcomes, replace(config, failed_fitness=0.0))
-    distance_m = np.nan_to_num(outcomes.distance_m, nan=-np.inf)
-    merits = list(zip(crawled.tolist(), distance_m.tolist(), strict=True))
+    merits = list(zip(crawled.tolist(), outcomes.distance_m.tolist(), strict=True))
     fitness_m = outcomes.fitness()
     best, found = 0, []
     for number, row in enumerate(rows):

@@ -42,8 +42,8 @@ class ReplayArgs:
     video: bool = True
     """Make a video."""
     out: Path | None = None
-    """The video, .mp4 or .gif; by default replay.mp4 or, of generations, film.mp4 beside a single source,
-    and replay.mp4 here for several."""
+    """The video, .mp4 or .gif; by default replay.mp4 or, of generations, film.mp4 beside the source; for
+    several sources replay.mp4 here."""
     picture: VideoConfig = field(default_factory=VideoConfig)
     threads: int = 1
     """Threads to simulate on."""
@@ -60,7 +60,7 @@ def replay_command(argv: Sequence[str]) -> int:
     elif args.out is not None:
         raise ReplayError(f"--out {args.out} names a video, and --no-video wants none: give one of them")
     recordings, told = [], []
-    for title, robot in robots.items():
+    for title, robot in robots:
         recording = Recording(robot, title, timestep_s=args.timestep, threads=args.threads)
         recordings.append(recording)
         said = _compared(recording, args.timestep)
@@ -80,15 +80,15 @@ def replay_command(argv: Sequence[str]) -> int:
     return 0
 
 
-def _robots(args: ReplayArgs) -> dict[str, Individual]:
-    """The robots by their titles."""
+def _robots(args: ReplayArgs) -> list[tuple[str, Individual]]:
+    """The robots with their titles."""
     if not args.source:
         raise ReplayError("give a run folder or the JSON file of a robot (best.json), or several")
     if not args.generations:
         titles = [_title(path) for path in args.source]
         unique = len(set(titles)) == len(titles)
         names = titles if unique else list(map(str, args.source))
-        return {name: Individual.load(path) for name, path in zip(names, args.source, strict=True)}
+        return [(name, Individual.load(path)) for name, path in zip(names, args.source, strict=True)]
     if len(args.source) > 1 or min(args.generations) < 0:
         raise ReplayError(
             "--generations takes one run folder and numbers from 0; got "
@@ -99,7 +99,7 @@ def _robots(args: ReplayArgs) -> dict[str, Individual]:
     if max(args.generations) > last:
         print(f"{args.source[0]} ends with generation {last}, shown for later ones", file=sys.stderr)
     chosen = dict.fromkeys(min(number, last) for number in args.generations)
-    return {f"generation {number}": best[number] for number in chosen}
+    return [(f"generation {number}", best[number]) for number in chosen]
 
 
 def _title(path: Path) -> str:

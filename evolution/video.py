@@ -36,7 +36,7 @@ _ANYWHERE_M = 100.0
 _HOLD_S = 1.0  # how long the last picture stays
 # GIF: one palette for the whole film, chosen for what moves; ordered dithering compresses.
 _PALETTE = (
-    "split[a][b];[a]palettegen=max_colors=96:stats_mode=diff[p];"
+    "split[a][b];[a]palettegen=max_colors=128:stats_mode=diff[p];"
     "[b][p]paletteuse=dither=bayer:bayer_scale=4:diff_mode=rectangle"
 )
 _QUIET = ["-loglevel", "quiet"]
