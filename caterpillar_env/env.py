@@ -115,7 +115,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     | `default_camera_config` | `None` | attributes of a free camera instead |
     | `overlay` | `False` | write time, distance, energy and a legend on colour pictures, and draw the path |
 
-    Springs are coloured by temperature, feet that touch the ground are orange, squares of the ground are 1 cm, and
+    Springs are coloured by temperature, feet that touch the ground are orange, squares of the ground are 2 cm, and
     the ruler reads the distance. "depth_array" holds metres along the view. Where a machine cannot draw, there is one
     warning, and `render` returns None; all else works.
 

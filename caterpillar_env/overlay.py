@@ -55,7 +55,7 @@ def spring_rgb(spring: SmaSpring, temperature_c: NDArray[np.float64]) -> NDArray
 
 
 def annotate(frame: NDArray[np.uint8], readout: Readout, spring: SmaSpring) -> NDArray[np.uint8]:
-    """A picture (height, width, 3) with its readout in the left and the legend in the right corner."""
+    """A picture (height, width, 3) with its readout in the left corner and the legend in the right one."""
     image = Image.fromarray(frame)
     draw = ImageDraw.Draw(image, "RGBA")
     size = max(11, min(image.height // 22, image.width // 30))
@@ -64,7 +64,8 @@ def annotate(frame: NDArray[np.uint8], readout: Readout, spring: SmaSpring) -> N
         f"{readout.time_s:4.1f} s    {1000 * readout.distance_m:+.0f} mm    {readout.energy_j:.0f} J"
     )
     legend = _legend(spring, max(10, round(0.8 * size)))
-    room = max(image.width - legend.width - 5 * pad, draw.textlength(numbers, _font(size)))
+    shown = legend.width < 0.6 * image.width  # small pictures have no room for it
+    room = max(image.width - legend.width * shown - 5 * pad, draw.textlength(numbers, _font(size)))
     title = _shortened(readout.title, _font(size), room)
     lines = [(text, _INK) for text in (title, numbers) if text]
     if readout.failure != "ok":
@@ -74,7 +75,8 @@ def annotate(frame: NDArray[np.uint8], readout: Readout, spring: SmaSpring) -> N
     draw.rounded_rectangle(box, radius=pad, fill=_PANEL)
     for number, (text, colour) in enumerate(lines):
         draw.text((2 * pad, 1.5 * pad + number * 1.35 * size), text, fill=colour, font=_font(size))
-    image.paste(legend, (image.width - legend.width - pad, pad), legend)
+    if shown:
+        image.paste(legend, (image.width - legend.width - pad, pad), legend)
     return np.asarray(image)
 
 

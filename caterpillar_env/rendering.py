@@ -120,8 +120,9 @@ class RobotRenderer:
         self._feet = np.array([i for i, name in enumerate(names) if name.startswith("foot")])
         self._spheres = np.flatnonzero(model.geom_conaffinity)
         self._foot_rgba = model.geom_rgba[self._feet].copy()
-        # Zero of the ruler is where the centre of mass starts: it then reads the distance.
-        model.geom(RULER).pos[0] += self.centre_of_mass(model.qpos0)[0]
+        self._ruler = model.geom(RULER).id
+        # Its zero is where the centre of mass starts: it then reads the distance.
+        model.geom_pos[self._ruler, 0] += self.centre_of_mass(model.qpos0)[0]
         self._path: list[Array] = []
         self._picture: mujoco.Renderer | None = None
         self._window: MujocoRenderer | None = None
@@ -157,6 +158,7 @@ class RobotRenderer:
             RenderingError: no way of drawing works on this machine.
         """
         middle = self.centre_of_mass(qpos)
+        self._data.geom_xpos[self._ruler, 1] += middle[1]  # it stays beside a robot that veers
         touching = self._touching()
         self._model.tendon_rgba[:, :3] = spring_rgb(self._spring, temperature_c)
         self._model.geom_rgba[self._feet] = self._foot_rgba

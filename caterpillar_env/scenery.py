@@ -29,7 +29,7 @@ _VIEWS = {
 
 
 def add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
-    """Light, sky, squares of 1 cm on the ground, and a ruler along x."""
+    """Light, sky, squares of 2 cm on the ground, and a ruler along x."""
     spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
     spec.visual.headlight.diffuse = [0.25, 0.25, 0.25]
     spec.visual.map.znear = 0.02
@@ -47,7 +47,9 @@ def add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
         name="squares", type=mujoco.mjtTexture.mjTEXTURE_2D, width=128, height=128,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER, rgb1=[0.70, 0.73, 0.72], rgb2=[0.76, 0.79, 0.78],
     )  # fmt: skip
-    _add_material(spec, "squares", specular=0.0, texuniform=True, texrepeat=[50, 50])
+    _add_material(
+        spec, "squares", specular=0.0, texuniform=True, texrepeat=[50, 50]
+    )  # twice as large on an endless plane
     ground.material = "squares"
     spec.worldbody.add_light(
         pos=[0, -0.3, 1.0], dir=[0, 0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,

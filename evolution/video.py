@@ -36,8 +36,8 @@ _ANYWHERE_M = 100.0
 _HOLD_S = 1.0  # how long the last picture stays
 # GIF: one palette for the whole film, chosen for what moves; ordered dithering compresses.
 _PALETTE = (
-    "split[a][b];[a]palettegen=max_colors=128:stats_mode=diff[p];"
-    "[b][p]paletteuse=dither=bayer:bayer_scale=4:diff_mode=rectangle"
+    "split[a][b];[a]palettegen=max_colors=128:stats_mode=full[p];"
+    "[b][p]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
 )
 _QUIET = ["-loglevel", "quiet"]
 _ENCODING: dict[str, dict[str, Any]] = {

@@ -75,6 +75,7 @@ def test_small_pictures_keep_their_size(size):
     frame = np.zeros((*size, 3), dtype=np.uint8)
     drawn = annotate(frame, PLAIN._replace(title="robot", failure="tipped"), SPRING)
     assert drawn.shape == frame.shape
+    assert not drawn[:, 160:].any()  # no room for the legend
 
 
 def test_readout_of_a_row():

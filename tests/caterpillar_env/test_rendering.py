@@ -14,7 +14,7 @@ from caterpillar_env import (
     SmaSpring,
     rendering,
 )
-from caterpillar_env.overlay import CONTACT_RGB, PATH_RGB, Readout
+from caterpillar_env.overlay import CONTACT_RGB, Readout
 from caterpillar_env.rendering import RenderingError, RobotRenderer
 from caterpillar_env.scenery import CAMERAS, RULER
 from caterpillar_env.simulation import Simulation
@@ -74,7 +74,7 @@ def test_pose_is_drawn(robot):
 
 def test_camera_follows_the_robot(robot):
     far = robot[0].copy()
-    far[0] += 3.0  # a whole number of squares of the ground
+    far[0] += 3.0  # a whole number of pairs of squares
     ruler = robot[1]._model.geom(RULER)
     ruler.pos[0] += 3.0
     moved = drawn(robot, far)
@@ -97,16 +97,26 @@ def test_ruler_reads_the_distance(robot):
     assert zero_m < -0.02  # the head starts at the origin, and the middle behind it
 
 
-def test_path_grows_with_a_readout_and_is_forgotten(robot):
+def test_ruler_stays_beside_a_robot_that_veers(robot):
+    veered = robot[0].copy()
+    veered[1] += 0.12  # a whole number of pairs of squares
+    assert np.abs(drawn(robot, veered) - drawn(robot, robot[0])).mean() < 3
+
+
+def test_path_is_drawn_with_a_readout_and_forgotten(robot):
     still = Readout(0.0, 0.0, 0.0)
     robot[1].forget_path()
-    first = drawn(robot, robot[0], readout=still)
+    drawn(robot, robot[0], readout=still)
     ahead = robot[0].copy()
     ahead[0] += 0.08
-    plain = coloured(drawn(robot, ahead), PATH_RGB)
-    assert coloured(drawn(robot, ahead, readout=still), PATH_RGB) > plain + 10
+    path = drawn(robot, ahead, readout=still)
     robot[1].forget_path()
-    np.testing.assert_array_equal(drawn(robot, robot[0], readout=still), first)
+    change = path - drawn(robot, ahead, readout=still)
+    seen = np.abs(change).max(axis=2) > 10
+    assert seen.sum() > 10
+    assert np.flatnonzero(seen.any(axis=0)).max() < WIDTH // 2 + 3  # behind the middle of the robot
+    assert change[seen][:, 1].mean() < change[seen][:, 2].mean() - 10  # purple on grey
+    robot[1].forget_path()
 
 
 def test_long_paths_stay_short_lists(robot):

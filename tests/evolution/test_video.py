@@ -129,10 +129,14 @@ def test_video_has_the_asked_size_speed_and_a_moving_picture(recording, tmp_path
 
 
 def test_gif_repeats_at_the_same_speed_with_few_colours(recording, tmp_path):
-    write_video([recording], tmp_path / "robot.gif", QUICK)
+    config = VideoConfig(speed=150.0, width=320, height=160)
+    write_video([recording], tmp_path / "robot.gif", config)
     with Image.open(tmp_path / "robot.gif") as image:
-        assert image.size == (128, 96)
+        assert image.size == (320, 160)
         assert image.info["loop"] == 0
+        first = np.asarray(image.convert("RGB")).astype(int)[:60, 140:].reshape(-1, 3)
+        for rgb in ((40, 100, 235), (250, 215, 50), (235, 35, 25)):  # the legend's, rare as they are
+            assert np.abs(first - rgb).max(axis=1).min() < 60
         lengths_ms, colours = [], set()
         for frame in range(image.n_frames):
             image.seek(frame)
