@@ -55,7 +55,7 @@ def spring_rgb(spring: SmaSpring, temperature_c: NDArray[np.float64]) -> NDArray
 
 
 def annotate(frame: NDArray[np.uint8], readout: Readout, spring: SmaSpring) -> NDArray[np.uint8]:
-    """A picture (height, width, 3) with its readout in the left corner and the legend in the right one."""
+    """A picture (height, width, 3) with its readout in the left corner, the legend in the right one."""
     image = Image.fromarray(frame)
     draw = ImageDraw.Draw(image, "RGBA")
     size = max(11, min(image.height // 22, image.width // 30))

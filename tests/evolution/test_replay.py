@@ -93,6 +93,7 @@ def test_machine_that_cannot_draw_still_compares(still, here, capsys, monkeypatc
 # Several
 
 
+@pytest.mark.slow
 def test_several_robots_are_told_by_name_and_shown_in_one_video(still, run, here, capsys):
     assert cli.main(["replay", "still.json", str(run), *SMALL]) == 0
     said = capsys.readouterr()

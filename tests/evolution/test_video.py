@@ -148,6 +148,7 @@ def test_gif_repeats_at_the_same_speed_with_few_colours(recording, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["robot.gif"]
 
 
+@pytest.mark.slow
 def test_tiles_lie_side_by_side_and_keep_time(recording, long_and_failed, tmp_path):
     config = VideoConfig(speed=300.0, width=202, height=76)
     write_video([recording, long_and_failed], tmp_path / "two.mp4", config)
