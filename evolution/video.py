@@ -205,6 +205,8 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     with ExitStack() as stack:
         draws = [stack.enter_context(r.seen(*tile, config.camera, view_m)) for r in recordings]
+        for draw in draws:
+            draw(0.0)  # where this fails, no file is begun
         canvas = np.full((height, width, 3), 255, dtype=np.uint8)
         stack.callback(partial.unlink, missing_ok=True)
         writer = imageio_ffmpeg.write_frames(

@@ -103,20 +103,26 @@ def test_ruler_stays_beside_a_robot_that_veers(robot):
     assert np.abs(drawn(robot, veered) - drawn(robot, robot[0])).mean() < 3
 
 
-def test_path_is_drawn_with_a_readout_and_forgotten(robot):
-    still = Readout(0.0, 0.0, 0.0)
-    robot[1].forget_path()
-    drawn(robot, robot[0], readout=still)
-    ahead = robot[0].copy()
+def test_path_is_drawn_with_a_readout_and_forgotten():
+    simulation = Simulation(1, Physics(), 1)
+    simulation.reset([Morphology()])
+    renderer = RobotRenderer(*simulation.drawable(0), SmaSpring(), 320, 240)
+    ahead = simulation.qpos(0)
     ahead[0] += 0.08
-    path = drawn(robot, ahead, readout=still)
-    robot[1].forget_path()
-    change = path - drawn(robot, ahead, readout=still)
+
+    def with_readout(qpos):
+        still = Readout(0.0, 0.0, 0.0)
+        return renderer.draw(qpos, np.full(12, 25.0), "rgb_array", still).astype(int)
+
+    with_readout(simulation.qpos(0))
+    path = with_readout(ahead)
+    renderer.forget_path()
+    change = path - with_readout(ahead)
+    renderer.close()
     seen = np.abs(change).max(axis=2) > 10
-    assert seen.sum() > 10
-    assert np.flatnonzero(seen.any(axis=0)).max() < WIDTH // 2 + 3  # behind the middle of the robot
+    assert seen.sum() > 50
+    assert np.flatnonzero(seen.any(axis=0)).max() < 165  # behind the middle of the robot
     assert change[seen][:, 1].mean() < change[seen][:, 2].mean() - 5  # purple on grey
-    robot[1].forget_path()
 
 
 def test_long_paths_stay_short_lists(robot):

@@ -221,8 +221,9 @@ def test_folder_that_cannot_be_written_is_an_error_and_leaves_nothing(recording,
     assert list(tmp_path.iterdir()) == []
 
 
-def test_machine_that_cannot_draw_leaves_nothing(recording, tmp_path, monkeypatch):
+def test_machine_that_cannot_draw_leaves_nothing(recording, tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(rendering, "_why_not", "no device")
     with pytest.raises(RenderingError, match="no device"):
         write_video([recording], tmp_path / "robot.mp4", QUICK)
+    assert not caplog.records  # of a writer that was begun in vain
     assert list(tmp_path.iterdir()) == []
