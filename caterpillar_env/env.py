@@ -14,7 +14,8 @@ from caterpillar_env.episodes import Episodes, check_options
 from caterpillar_env.errors import SimulationError
 from caterpillar_env.model import CONTROL_INTERVAL_S
 from caterpillar_env.morphology import Morphology
-from caterpillar_env.rendering import RobotRenderer, has_display
+from caterpillar_env.overlay import Readout
+from caterpillar_env.rendering import RobotRenderer, check_picture, drawn, has_display
 from caterpillar_env.simulation import Trace
 
 _ROW = np.array([0])
@@ -126,7 +127,14 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     | `terminate_on_failure` | `True` | see Episode end |
     | `threads` | 1 | threads of the vector environment; 0 for all cores |
     | `render_mode` | `None` | "human", "rgb_array", "depth_array" or "rgb_array_list" |
-    | `width`, `height`, `camera_name`, `default_camera_config` | 640, 480, "track", `None` | pictures |
+    | `width`, `height` | 640, 480 | size of pictures, pixels |
+    | `camera_name` | "track" | "track", "side" or "top"; all follow the robot |
+    | `default_camera_config` | `None` | attributes of a free camera instead |
+    | `overlay` | `False` | write time, distance, energy and a legend on colour pictures, and draw the path |
+
+    Springs are coloured by temperature, feet that touch the ground are orange, squares of the ground are 2 cm, and
+    the ruler reads the distance. "depth_array" holds metres along the view. Where a machine cannot draw, there is one
+    warning, and `render` returns None; all else works.
 
     `reset(options={"morphology": ...})` changes the body; it stays until it is replaced.
     In "rgb_array_list" mode a frame is drawn every control interval, so that a gait period can be watched.
@@ -150,6 +158,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         height: int = 480,
         camera_name: str = "track",
         default_camera_config: dict[str, Any] | None = None,
+        overlay: bool = False,
         **episodes: Any,
     ) -> None:
         arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__", "episodes")}
@@ -166,7 +175,9 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         self._morphology = Morphology() if morphology is None else Morphology.of(morphology)
         self.render_mode = render_mode
         self._size = (width, height)
+        check_picture(width, height, camera_name)
         self._camera = (camera_name, default_camera_config)
+        self._overlay = overlay
         self._renderer: RobotRenderer | None = None
         self._frames: list[Any] = []
         self._running = False
@@ -204,6 +215,8 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         observation, info = self._episodes.reset(_ROW, [self._morphology], [self.np_random])
         self._running = True
         self._frames = []
+        if self._renderer is not None:
+            self._renderer.forget_path()
         self._draw_live()
         return observation[0], _first(info)
 
@@ -249,19 +262,22 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         if self.render_mode == "human":
             self._draw("human")
         elif self.render_mode == "rgb_array_list":
-            self._frames.append(self._draw("rgb_array"))
+            frame = self._draw("rgb_array")
+            self._frames += [] if frame is None else [frame]
 
     def _draw(self, mode: str) -> Any:
         if not self._running:
             raise SimulationError("call reset() before render()")
         simulation = self._episodes.crawl.simulation
-        if self._renderer is None:
+        renderer = self._renderer
+        if renderer is None:
             model, data = simulation.drawable(0)
-            name, config = self._camera
-            self._renderer = RobotRenderer(
-                model, data, self._episodes.physics.spring, *self._size, name, config
-            )
-        return self._renderer.draw(simulation.qpos(0), simulation.state(_ROW).temperature_c[0], mode)
+            spring = self._episodes.physics.spring
+            renderer = RobotRenderer(model, data, spring, *self._size, *self._camera)
+            self._renderer = renderer
+        readout = Readout.of(self._episodes.crawl.progress(_ROW)) if self._overlay else None
+        temperature_c = simulation.state(_ROW).temperature_c[0]
+        return drawn(lambda: renderer.draw(simulation.qpos(0), temperature_c, mode, readout))
 
 
 def _first(info: dict[str, NDArray[Any]]) -> dict[str, Any]:

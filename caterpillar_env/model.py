@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from caterpillar_env.errors import PhysicsError
 from caterpillar_env.gait import SPRINGS_PER_GAP, spring_names, whole
 from caterpillar_env.morphology import Body, Morphology, segments_of
+from caterpillar_env.scenery import add_cameras, add_scenery
 from caterpillar_env.sma import SmaSpring
 
 T = TypeVar("T")
@@ -187,8 +188,8 @@ def build_model(
             their axes are then at different heights, and a neck lies halfway between its neighbours'.
         physics: material, numerics and number of segments.
         strengths: factor on each spring's force, shape (num_springs,).
-        scenery: whether it is to be drawn; camera, light, sky, pattern of the ground and legs make up a
-            third of the time that it takes to build, and more than half of the size.
+        scenery: whether it is to be drawn; cameras, light, ground, ruler and legs make up most of the
+            time that it takes to build, and of the size.
 
     Returns:
         A model whose sizes depend on `physics.num_segments` alone. Bodies are `element0` (head) to
@@ -253,7 +254,7 @@ def _new_spec(p: Physics, *, scenery: bool) -> mujoco.MjSpec:
         contype=1, conaffinity=0, priority=0,
     )  # fmt: skip
     if scenery:
-        _add_scenery(spec, ground)
+        add_scenery(spec, ground)
     return spec
 
 
@@ -284,7 +285,7 @@ def _add_robot(
             _add_anchors(element, segment, m, p.num_segments, make)
         parent = element
     if legs:
-        _add_camera(spec, segments, make)
+        add_cameras(spec.body("element0"), segments, make)
 
 
 def trim_tendons(model: mujoco.MjModel) -> None:
@@ -310,7 +311,7 @@ def _set_defaults(spec: mujoco.MjSpec, p: Physics) -> None:
     default.geom.solref[:2] = default.joint.solref_limit[:2] = [p.contact_time_constant_s, 1]
     default.joint.limited = True
     default.site.size, default.site.rgba = [0.0008, 0, 0], [0.2, 0.2, 0.2, 1]
-    default.tendon.width, default.tendon.rgba = 0.0008, [0.3, 0.45, 0.8, 1]
+    default.tendon.width, default.tendon.rgba = 0.001, [0.3, 0.45, 0.8, 1]
     spring = default.actuator
     spring.trntype = mujoco.mjtTrn.mjTRN_TENDON
     spring.gaintype = mujoco.mjtGain.mjGAIN_AFFINE
@@ -336,49 +337,9 @@ def _set_options(spec: mujoco.MjSpec, p: Physics) -> None:
     option.disableflags |= off.mjDSBL_ISLAND | off.mjDSBL_MIDPHASE
 
 
-def _add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
-    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
-    spec.visual.headlight.diffuse = [0.4, 0.4, 0.4]
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1920, 1080
-    spec.visual.map.znear = 0.02
-    spec.visual.quality.shadowsize = 1024
-    spec.visual.quality.offsamples = 2
-    spec.visual.quality.numslices, spec.visual.quality.numstacks = 16, 10
-    spec.stat.extent, spec.stat.center = 0.3, [0, 0, 0.02]
-    spec.add_texture(
-        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=64, height=64,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, rgb1=[0.75, 0.83, 0.9], rgb2=[1, 1, 1],
-    )  # fmt: skip
-    spec.add_texture(
-        name="squares", type=mujoco.mjtTexture.mjTEXTURE_2D, width=128, height=128,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER, rgb1=[0.55, 0.58, 0.55], rgb2=[0.68, 0.71, 0.68],
-    )  # fmt: skip
-    material = spec.add_material(name="ground", texuniform=True, texrepeat=[50, 50])
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "squares"
-    spec.worldbody.add_light(
-        pos=[0, -0.3, 1.0], dir=[0, 0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        castshadow=True, diffuse=[0.6, 0.6, 0.6],
-    )  # fmt: skip
-    ground.material = "ground"
-
-
-def _add_camera(spec: mujoco.MjSpec, segments: Sequence[Morphology], make: Make) -> None:
-    """Beside the middle of the body, from far enough to have all of it in view."""
-    half_length = segments[0].segment_length_m / ELEMENTS_PER_SEGMENT
-    body_length = sum(m.segment_length_m for m in segments)
-    make(
-        spec.body("element0").add_camera,
-        {
-            "name": "track", "mode": mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM, "fovy": 40,
-            "xyaxes": [1, 0, 0, 0, 0.4, 0.92],
-        },
-        pos=[-body_length / 2 + half_length / 2, -1.7 * body_length, 0.75 * body_length],
-    )  # fmt: skip
-
-
 def _add_shell(body: mujoco.MjsBody, index: int, m: Morphology, make: Make) -> None:
     shade = 1.0 if index % ELEMENTS_PER_SEGMENT == 0 else 0.8
-    colour = [0.95, 0.85, 0.3, 0.45] if index == 0 else [0.5 * shade, 0.8 * shade, 0.35 * shade, 0.45]
+    colour = [0.95, 0.85, 0.3, 0.25] if index == 0 else [0.5 * shade, 0.8 * shade, 0.35 * shade, 0.25]
     make(
         body.add_geom,
         {"name": f"shell{index}", "type": mujoco.mjtGeom.mjGEOM_SPHERE, "rgba": colour},

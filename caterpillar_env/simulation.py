@@ -64,10 +64,11 @@ class BodyState(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """Poses and temperatures after every thermal step, for drawing."""
+    """Poses, temperatures and energy after every thermal step, for drawing."""
 
     qpos: Array  #: MuJoCo generalised positions, (R, K, nq)
     temperature_c: Array  #: of the springs, (R, K, num_springs)
+    energy_j: Array  #: electrical, since reset, (R, K)
 
 
 class Simulation:
@@ -252,13 +253,15 @@ class Simulation:
             self._sma.enthalpy_j_kg[now] = heated.enthalpy_j_kg[last - 1, going]
             self._sma.fraction[now] = heated.fraction[last - 1, going]
             # Summed one after the other; `sum` would take another order for a single row.
-            self.energy_j[now] += np.add.accumulate(energy_j[first:last, going])[-1]
+            before_j, drawn_j = self.energy_j[now], np.add.accumulate(energy_j[first:last, going])
+            self.energy_j[now] = before_j + drawn_j[-1]
             if trace:
                 path = SmaState(
                     heated.enthalpy_j_kg[first:last, going], heated.fraction[first:last, going]
                 )
                 temperature = np.swapaxes(path.temperature_c(self.physics.spring), 0, 1)
-                traced = Trace(record["qpos"][:, self._substeps - 1 :: self._substeps], temperature)
+                qpos = record["qpos"][:, self._substeps - 1 :: self._substeps]
+                traced = Trace(qpos, temperature, before_j[:, None] + drawn_j.T)
             if watch is not None:
                 going = going[watch(now, traced)]
         return traced

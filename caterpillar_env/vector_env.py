@@ -15,7 +15,8 @@ from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.episodes import Episodes, check_options, morphologies_for
 from caterpillar_env.errors import SimulationError
 from caterpillar_env.morphology import Morphology
-from caterpillar_env.rendering import RobotRenderer
+from caterpillar_env.overlay import Readout
+from caterpillar_env.rendering import RobotRenderer, check_picture, drawn
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         height: int = 480,
         camera_name: str = "track",
         default_camera_config: dict[str, Any] | None = None,
+        overlay: bool = False,
         **episodes: Any,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
@@ -74,7 +76,9 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
             "render_fps": 1 / self._episodes.step_s,
         }
         self.render_mode = render_mode
+        check_picture(width, height, camera_name)
         self._picture = (width, height, camera_name, default_camera_config)
+        self._overlay = overlay
         self._renderers: list[RobotRenderer | None] = [None] * num_envs
         self._limit = max_episode_steps
         self._every = np.arange(num_envs)
@@ -212,11 +216,13 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         return info
 
     def render(self) -> tuple[Any, ...] | None:
-        """One picture per row, or None without a render mode."""
-        if self.render_mode is None:
-            return None
+        """One picture per row, or None without a render mode or where nothing can be drawn."""
+        return None if self.render_mode is None else drawn(self._draw)
+
+    def _draw(self) -> tuple[Any, ...]:
         simulation = self._episodes.crawl.simulation
         temperatures = simulation.state().temperature_c
+        progress = self._episodes.crawl.progress()
         frames = []
         for row in range(self.num_envs):
             renderer = self._renderers[row]
@@ -224,7 +230,8 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
                 model, data = simulation.drawable(row)
                 renderer = RobotRenderer(model, data, self._episodes.physics.spring, *self._picture)
                 self._renderers[row] = renderer
-            frames.append(renderer.draw(simulation.qpos(row), temperatures[row], self.render_mode))
+            readout = Readout.of(progress, row) if self._overlay else None
+            frames.append(renderer.draw(simulation.qpos(row), temperatures[row], "rgb_array", readout))
         return tuple(frames)
 
     def close_extras(self, **kwargs: Any) -> None:

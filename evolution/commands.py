@@ -1,4 +1,4 @@
-"""The subcommands `evolve`, `resume`, `preprocess` and `replay`: their output and files."""
+"""The subcommands `evolve`, `resume` and `preprocess`: their output and files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from evolution import cli
 from evolution.distributions import Uniform
 from evolution.evaluators import Evaluator, LocalEvaluator, RayEvaluator
 from evolution.genome import GenomeKind
-from evolution.individual import Individual, Robot, label
+from evolution.individual import Robot
 from evolution.journal import Journal
 from evolution.optimizers.ga import GaConfig
 from evolution.preprocessor import Clipping, GenePrior, design_parameters, paper_priors
@@ -187,14 +187,14 @@ def picture(folder: Path, console: Console, *, video: bool) -> Path:
     return run_report.write(folder)
 
 
-def film(robot: Robot, path: Path, console: Console, timestep_s: float | None = None) -> None:
+def film(robot: Robot, path: Path, console: Console) -> None:
     """Write a video; a machine that cannot draw costs only the video."""
-    from evolution.video import VideoError, write_video
+    from evolution.video import Recording, write_video
 
     console.print(f"writing {path} ...")
     try:
-        write_video(robot, path, timestep_s=timestep_s)
-    except VideoError as error:
+        write_video([Recording(robot)], path)
+    except CaterpillarError as error:
         console.print(f"no video: {error}")
 
 
@@ -317,56 +317,3 @@ def _table(priors: Sequence[GenePrior], names: Sequence[str]) -> Table:
             prior.reason,
         )
     return table
-
-
-@dataclass(frozen=True)
-class ReplayArgs:
-    """Simulate a recorded robot once more, compare with the record, and make a video."""
-
-    source: Annotated[Path, tyro.conf.Positional]
-    """A run folder, or the JSON file of one robot (best.json)."""
-    timestep: float | None = None
-    """Another timestep than the recorded one, in s: 0.0005, say."""
-    json: bool = False
-    """Print data instead of a sentence."""
-    video: bool = True
-    """Write replay.mp4 beside the source."""
-    threads: int = 1
-    """Threads to simulate on."""
-
-
-def replay_command(argv: Sequence[str]) -> int:
-    """`caterpillar replay`."""
-    args = cli.parse(ReplayArgs, argv, "replay")
-    individual = Individual.load(args.source)
-    outcomes = individual.simulate(args.timestep, threads=args.threads)
-    fitness = float(outcomes.fitness()[0])
-    recorded = individual.fitness_m
-    said = {
-        "fitness_m": fitness,
-        "recorded_fitness_m": recorded,
-        "identical": fitness == recorded,
-        "failure": label(outcomes.failure[0]),
-        "distance_m": float(outcomes.distance_m[0]),
-        "energy_j": float(outcomes.energy_j[0]),
-        "simulated_s": float(outcomes.simulated_s[0]),
-        "timestep_s": args.timestep or individual.physics.timestep_s,
-    }
-    if args.json:
-        print(json.dumps(said, indent=2))
-    else:
-        print(f"fitness {fitness!r} m ({said['failure']}), {said['energy_j']:.1f} J, {_verdict(said)}")
-    if args.video:
-        folder = args.source if args.source.is_dir() else args.source.parent
-        film(individual, folder / "replay.mp4", _console(), args.timestep)
-    return 0
-
-
-def _verdict(said: dict[str, float | str | bool | None]) -> str:
-    recorded = said["recorded_fitness_m"]
-    if not isinstance(recorded, float) or not recorded:
-        return "nothing recorded to compare with"
-    if said["identical"]:
-        return "the same as recorded, bit for bit"
-    assert isinstance(said["fitness_m"], float)
-    return f"recorded {recorded!r} m: {100 * (said['fitness_m'] / recorded - 1):+.1f} %"

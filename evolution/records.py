@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -60,6 +60,41 @@ def table(folder: Path) -> polars.DataFrame:
         "session": np.array([e.session for e in rows], dtype=np.int64),
     }
     return polars.DataFrame(columns | {name: values[:, i] for i, name in enumerate(names)})
+
+
+def leaders(folder: Path) -> list[Individual]:
+    """The best robot of a run so far after each of its generations; `generation` is its own.
+
+    As long as nobody has crawled forwards without failing, it is the one that came furthest.
+
+    Raises:
+        JournalError: no journal, damaged, of a newer version, or without any evaluation.
+    """
+    with Journal(folder, read_only=True) as journal:
+        config, _ = read_configuration(journal)
+        rows = list(journal.evaluations())
+    if not rows:
+        raise JournalError(f"{folder} holds no evaluations yet; `caterpillar resume {folder}` goes on")
+    outcomes = outcomes_of(rows)
+    crawled = scores(outcomes, replace(config, failed_fitness=0.0))
+    merits = list(zip(crawled.tolist(), outcomes.distance_m.tolist(), strict=True))
+    fitness_m = outcomes.fitness()
+    best, found = 0, []
+    for number, row in enumerate(rows):
+        if merits[number] > merits[best]:
+            best = number
+        if number + 1 == len(rows) or rows[number + 1].generation != row.generation:
+            found.append(
+                Individual.of_genome(
+                    rows[best].genome,
+                    config.physics,
+                    config.gait_period_s,
+                    config.genome,
+                    fitness_m=float(fitness_m[best]),
+                    generation=rows[best].generation,
+                )
+            )
+    return found
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from viser import FrameHandle, LineSegmentsHandle, SceneApi
 
 from caterpillar_env.model import build_model
-from caterpillar_env.rendering import spring_colours
+from caterpillar_env.overlay import spring_rgb
 from evolution.individual import Individual
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ class RobotScene:
         for element, position, wxyz in zip(self._elements, data.xpos[1:], data.xquat[1:], strict=True):
             element.position, element.wxyz = position, wxyz
         self._springs.points = data.site_xpos[self._ends].astype(np.float32)
-        colours = np.round(255 * spring_colours(self._spring, temperature_c)[:, None, :3])
+        colours = np.round(255 * spring_rgb(self._spring, temperature_c)[:, None])
         self._springs.colors = np.repeat(colours.astype(np.uint8), 2, axis=1)
         middle = data.xpos[1:].mean(axis=0)
         self._world.position = (-middle[0], -middle[1], 0.0) if follow else (0.0, 0.0, 0.0)

@@ -1,3 +1,6 @@
+import re
+import warnings
+
 import mujoco
 import numpy as np
 import pytest
@@ -9,8 +12,11 @@ from caterpillar_env import (
     Physics,
     SimulationError,
     SmaSpring,
+    rendering,
 )
-from caterpillar_env.rendering import RobotRenderer, spring_colours
+from caterpillar_env.overlay import CONTACT_RGB, Readout
+from caterpillar_env.rendering import RenderingError, RobotRenderer
+from caterpillar_env.scenery import CAMERAS, RULER
 from caterpillar_env.simulation import Simulation
 
 WIDTH, HEIGHT = 96, 64
@@ -29,25 +35,6 @@ def is_picture(frame):
     return frame.shape == (HEIGHT, WIDTH, 3) and frame.dtype == np.uint8 and frame.std() > 10
 
 
-# Colours
-
-
-def test_springs_are_blue_cold_yellow_warm_and_red_hot():
-    colours = spring_colours(SmaSpring(), np.array([25.0, 68.0, 120.0]))
-    np.testing.assert_allclose(
-        colours, [[0.25, 0.45, 0.85, 1], [0.95, 0.85, 0.30, 1], [0.90, 0.15, 0.10, 1]], atol=1e-12
-    )
-
-
-def test_colours_blend_between_and_stay_beyond():
-    below, cold, half, warm, hot, beyond = spring_colours(
-        SmaSpring(), np.array([10.0, 25.0, (25 + 68) / 2, 68.0, 120.0, 500.0])
-    )
-    np.testing.assert_allclose(half, (cold + warm) / 2)
-    np.testing.assert_allclose(below, cold)
-    np.testing.assert_allclose(beyond, hot)
-
-
 # Robot
 
 
@@ -61,8 +48,15 @@ def robot():
     renderer.close()
 
 
-def drawn(robot, qpos, temperature_c=25.0):
-    return robot[1].draw(qpos, np.full(12, temperature_c), "rgb_array").astype(int)
+def drawn(robot, qpos, temperature_c=25.0, readout=None):
+    return robot[1].draw(qpos, np.full(12, temperature_c), "rgb_array", readout).astype(int)
+
+
+def coloured(picture, rgb):
+    """How many pixels are of the hue of a colour, however bright."""
+    wanted = np.array(rgb) / np.max(rgb)
+    own = picture / np.maximum(picture.max(axis=2, keepdims=True), 1)
+    return int((np.abs(own - wanted).max(axis=2) < 0.12).sum())
 
 
 def test_hot_springs_are_redder(robot):
@@ -80,8 +74,65 @@ def test_pose_is_drawn(robot):
 
 def test_camera_follows_the_robot(robot):
     far = robot[0].copy()
-    far[0] += 3.0  # a whole number of squares of the ground
-    assert np.abs(drawn(robot, far) - drawn(robot, robot[0])).mean() < 3
+    far[0] += 3.0  # a whole number of pairs of squares
+    ruler = robot[1]._model.geom(RULER)
+    ruler.pos[0] += 3.0
+    moved = drawn(robot, far)
+    ruler.pos[0] -= 3.0
+    assert np.abs(moved - drawn(robot, robot[0])).mean() < 3
+
+
+def test_feet_on_the_ground_are_marked(robot):
+    raised = robot[0].copy()
+    raised[2] += 0.02
+    assert coloured(drawn(robot, robot[0]), CONTACT_RGB) > 15
+    assert coloured(drawn(robot, raised), CONTACT_RGB) == 0
+
+
+def test_ruler_reads_the_distance(robot):
+    ruler = robot[1]._model.geom(RULER)
+    start_m = robot[1].centre_of_mass(robot[0])
+    zero_m = ruler.pos[0] - ruler.size[0] + 0.5  # it begins at -50 cm
+    assert zero_m == pytest.approx(start_m[0])
+    assert zero_m < -0.02  # the head starts at the origin, and the middle behind it
+
+
+def test_ruler_stays_beside_a_robot_that_veers(robot):
+    veered = robot[0].copy()
+    veered[1] += 0.12  # a whole number of pairs of squares
+    assert np.abs(drawn(robot, veered) - drawn(robot, robot[0])).mean() < 3
+
+
+def test_path_is_drawn_with_a_readout_and_forgotten():
+    simulation = Simulation(1, Physics(), 1)
+    simulation.reset([Morphology()])
+    renderer = RobotRenderer(*simulation.drawable(0), SmaSpring(), 320, 240)
+    ahead = simulation.qpos(0)
+    ahead[0] += 0.08
+
+    def with_readout(qpos):
+        still = Readout(0.0, 0.0, 0.0)
+        return renderer.draw(qpos, np.full(12, 25.0), "rgb_array", still).astype(int)
+
+    with_readout(simulation.qpos(0))
+    path = with_readout(ahead)
+    renderer.forget_path()
+    change = path - with_readout(ahead)
+    renderer.close()
+    seen = np.abs(change).max(axis=2) > 10
+    assert seen.sum() > 50
+    assert np.flatnonzero(seen.any(axis=0)).max() < 165  # behind the middle of the robot
+    assert change[seen][:, 1].mean() < change[seen][:, 2].mean() - 5  # purple on grey
+
+
+def test_long_paths_stay_short_lists(robot):
+    robot[1].forget_path()
+    for k in range(20):
+        moved = robot[0].copy()
+        moved[0] += 1e-3 * k
+        robot[1].draw(moved, np.full(12, 25.0), "rgb_array", Readout(0.0, 0.0, 0.0))
+    assert 6 <= len(robot[1]._path) <= 10  # 19 mm in steps of more than 2 mm
+    robot[1].forget_path()
 
 
 # Environment
@@ -108,6 +159,8 @@ def test_depth_array_measures_distance():
     assert depth.shape == (HEIGHT, WIDTH)
     assert np.isfinite(depth).all()
     assert depth[HEIGHT // 2, WIDTH // 2] < depth[0, 0]  # the robot is nearer than the background
+    length_m = 4 * Morphology().segment_length_m
+    assert depth[HEIGHT // 2, WIDTH // 2] == pytest.approx(np.hypot(1.55, 0.85) * length_m, abs=0.03)
 
 
 def test_list_holds_a_frame_for_every_control_interval_and_disturbs_nothing():
@@ -187,7 +240,88 @@ def test_window_needs_a_display(monkeypatch):
     assert "human" not in CaterpillarEnv().metadata["render_modes"]
 
 
-def test_track_camera_is_the_only_one_and_tracks():
-    model, _ = Simulation(1, Physics(), 1).drawable(0)
-    assert [model.camera(i).name for i in range(model.ncam)] == ["track"]
-    assert model.cam_mode[0] == mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_every_camera_sees_the_robot_and_none_sees_the_same(camera):
+    env = drawing_env("rgb_array", camera_name=camera)
+    picture = env.render().astype(int)
+    env.close()
+    assert is_picture(picture.astype(np.uint8))
+    head = (picture[..., 0] > picture[..., 2] + 40) & (picture[..., 1] > picture[..., 2] + 25)
+    assert head.sum() > 20  # yellow
+    assert np.flatnonzero(head.any(axis=0)).max() > WIDTH // 2  # to the right
+
+
+@pytest.mark.parametrize("kind", [CaterpillarEnv, CaterpillarVectorEnv])
+@pytest.mark.parametrize(
+    ("wrong", "match"),
+    [
+        ({"camera_name": "front"}, "camera must be one of track, side, top; got 'front'"),
+        ({"width": 0}, "width must be a number of pixels from 1 to 8192; got 0"),
+        ({"height": 4.5}, r"height .* got 4\.5"),
+    ],
+)
+def test_impossible_pictures_are_refused_at_once(kind, wrong, match):
+    with pytest.raises(RenderingError, match=match):
+        kind(render_mode="rgb_array", **wrong)
+
+
+def test_overlay_is_drawn_where_asked_for():
+    pictures = []
+    for overlay in (False, True):
+        env = drawing_env("rgb_array", overlay=overlay)
+        env.step(np.tile([-1.0, 1.0], 6))
+        pictures.append(env.render())
+        env.close()
+    differs = (pictures[0] != pictures[1]).any(axis=2)
+    assert differs[: HEIGHT // 3].mean() > 0.3
+    envs = CaterpillarVectorEnv(2, render_mode="rgb_array", width=WIDTH, height=HEIGHT, overlay=True)
+    envs.reset(seed=0)
+    (frame, _) = envs.render()
+    envs.close()
+    assert np.abs(frame[: HEIGHT // 3].astype(int) - pictures[0][: HEIGHT // 3]).mean() > 20
+
+
+def test_larger_pictures_than_the_models_own_buffer():
+    env = CaterpillarEnv(render_mode="rgb_array", width=2000, height=40)
+    env.reset(seed=0)
+    picture = env.render()
+    env.close()
+    assert picture.shape == (40, 2000, 3)
+
+
+# Machines that cannot draw
+
+
+@pytest.fixture
+def broken(monkeypatch):
+    """A machine whose drawing fails; how often that was tried."""
+    tried = []
+
+    def fail(*args):
+        tried.append(args)
+        raise RuntimeError("no device\nand more of it")
+
+    monkeypatch.setattr(mujoco, "Renderer", fail)
+    monkeypatch.setattr(rendering, "_why_not", None)
+    rendering._warn.cache_clear()
+    yield tried
+    rendering._warn.cache_clear()
+
+
+def test_all_but_drawing_works_with_one_warning(broken):
+    action = np.tile([-1.0, 1.0], 6)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        env = drawing_env("rgb_array_list")
+        env.step(action)
+        assert env.render() == []
+        other = drawing_env("rgb_array")
+        assert other.render() is None
+        other.step(action)
+        envs = CaterpillarVectorEnv(2, render_mode="rgb_array")
+        envs.reset(seed=0)
+        assert envs.render() is None
+        envs.close()
+    assert len(said) == 1
+    assert re.search(r"cannot draw \(.*no device\); install EGL", str(said[0].message))
+    assert len(broken) == 1  # a second attempt may end the process

@@ -219,9 +219,16 @@ def test_trace_holds_every_thermal_step():
     np.testing.assert_array_equal(trace.qpos[1, -1], simulation.qpos(1))
     np.testing.assert_array_equal(simulation.qpos(1), untraced.qpos(1))
     np.testing.assert_array_equal(trace.temperature_c[:, -1], simulation.state().temperature_c)
+    np.testing.assert_array_equal(trace.energy_j[:, -1], simulation.energy_j)
+    np.testing.assert_array_equal(untraced.energy_j, simulation.energy_j)
+    assert (np.diff(trace.energy_j, axis=1) >= 0).all()
+    further = simulation.advance(power, trace=True)  # it goes on from what was drawn so far
+    np.testing.assert_array_equal(further.energy_j[:, -1], simulation.energy_j)
+    assert (further.energy_j[:, 0] >= trace.energy_j[:, -1]).all()
     untraced.reset([SMALL, LARGE])
     untraced.advance(power[:, :10])
     np.testing.assert_array_equal(trace.qpos[0, 9], untraced.qpos(0))
+    np.testing.assert_array_equal(trace.energy_j[:, 9], untraced.energy_j)
     np.testing.assert_array_equal(trace.temperature_c[:, 9], untraced.state().temperature_c)
 
 

@@ -5,13 +5,10 @@ import io
 import json
 import sqlite3
 
-import numpy as np
 import pytest
 from rich.console import Console
 
-from caterpillar_env.gait import GaitTimings
 from caterpillar_env.model import Physics
-from caterpillar_env.morphology import Morphology
 from evolution import cli, commands
 from evolution.evaluators import LocalEvaluator
 from evolution.individual import Individual
@@ -222,32 +219,3 @@ def test_preprocess_prints_a_table_with_every_gene(elsewhere, capsys, monkeypatc
         assert name in said.out
     assert "d.png" in said.err
     assert (elsewhere / "d.png").exists()
-
-
-# replay
-
-
-@pytest.fixture
-def still(elsewhere):
-    """A robot that is never powered, with a made-up record."""
-    timings = GaitTimings(RunConfig().gait_period_s, np.zeros(2), np.zeros(2))
-    robot = Individual(Morphology(), timings, Physics(num_segments=2), fitness_m=0.02)
-    robot.save(elsewhere / "still.json")
-    return robot
-
-
-def test_replay_tells_how_far_off_the_record_is(still, capsys):
-    assert cli.main(["replay", "still.json", "--no-video"]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("fitness ")
-    assert "0.0 J" in said
-    assert "recorded 0.02 m: -" in said
-
-
-def test_replay_without_a_record_says_so(still, elsewhere, capsys):
-    Individual(still.morphology, still.timings, still.physics).save(elsewhere / "still.json")
-    assert cli.main(["replay", "still.json", "--no-video", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["recorded_fitness_m"] is None
-    assert said["identical"] is False
-    assert [p.name for p in elsewhere.iterdir()] == ["still.json"]

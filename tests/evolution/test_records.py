@@ -2,16 +2,19 @@
 
 import json
 
+import numpy as np
 import polars
 import pytest
 
 from caterpillar_env.model import Physics
+from caterpillar_env.task import Failure
 from evolution import cli
 from evolution.evaluators import LocalEvaluator
+from evolution.fitness import Outcomes
 from evolution.individual import Individual
-from evolution.journal import FILE, Journal
+from evolution.journal import FILE, Journal, JournalError
 from evolution.optimizers.ga import GaConfig
-from evolution.records import table
+from evolution.records import leaders, table
 from evolution.run import RunConfig, evolve
 
 CONFIG = RunConfig(
@@ -94,3 +97,44 @@ def test_a_run_that_is_worked_on_is_running(runs, capsys):
 def test_no_runs_is_no_error(tmp_path, capsys):
     assert cli.main(["runs", str(tmp_path)]) == 0
     assert "no runs in" in capsys.readouterr().err
+
+
+# leaders
+
+
+def test_leaders_are_the_best_so_far_and_crawl_as_recorded(runs):
+    rows = table(runs / "done")
+    found = leaders(runs / "done")
+    assert len(found) == CONFIG.generations
+    for number, leader in enumerate(found):
+        so_far = rows.filter(polars.col("generation") <= number)
+        assert leader.fitness_m == so_far["fitness"].max()
+        best = so_far.row(so_far["fitness"].arg_max(), named=True)
+        assert leader.generation == best["generation"]
+        assert leader.morphology.segment_length_m == best["segment_length_m"]
+    assert found[-1].simulate(threads=1).fitness()[0] == found[-1].fitness_m
+
+
+def test_as_long_as_all_fail_the_one_that_came_furthest_leads(tmp_path):
+    rng = np.random.default_rng(0)
+    genomes = rng.random((6, len(CONFIG.genes())))
+    outcomes = Outcomes(
+        np.array([Failure.VEERED, Failure.DIVERGED, Failure.TIPPED, 0, 0, 0]),
+        np.array([0.01, 0.0, 0.05, -0.01, 0.002, 0.001]),
+        np.ones(6), np.full(6, 30.0),
+    )  # fmt: skip
+    with Journal.create(tmp_path, {**CONFIG.to_dict(), "own_optimizer": None}) as journal:
+        session = journal.begin()
+        for generation in range(3):
+            part = slice(2 * generation, 2 * generation + 2)
+            some = Outcomes(*(field[part] for field in outcomes))
+            journal.append(2 * generation, generation, genomes[part], some, session)
+    fitness_m = [leader.fitness_m for leader in leaders(tmp_path)]
+    assert fitness_m == [0.0, 0.0, 0.002]
+    assert [leader.generation for leader in leaders(tmp_path)] == [0, 1, 2]
+
+
+def test_run_without_evaluations_has_no_leaders(tmp_path):
+    Journal.create(tmp_path, {**CONFIG.to_dict(), "own_optimizer": None}).close()
+    with pytest.raises(JournalError, match="holds no evaluations yet; `caterpillar resume"):
+        leaders(tmp_path)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from caterpillar_env.model import Physics, build_model
-from caterpillar_env.rendering import spring_colours
+from caterpillar_env.overlay import spring_rgb
 from evolution.viewer.session import Session, nominal_robot
 
 pytest.importorskip("viser")
@@ -44,7 +44,7 @@ def test_elements_springs_and_colours_are_those_of_the_model(page, crawling):
     springs = node(page, "/world/robot/springs")
     lengths_m = np.linalg.norm(springs.points[:, 1] - springs.points[:, 0], axis=1)
     np.testing.assert_allclose(lengths_m, data.ten_length, atol=1e-7)
-    colours = spring_colours(physics.spring, temperature_c)[:, :3]
+    colours = spring_rgb(physics.spring, temperature_c)
     np.testing.assert_allclose(springs.colors[:, 0] / 255, colours, atol=1 / 255)
     assert len(np.unique(springs.colors[:, 0], axis=0)) > 2
 

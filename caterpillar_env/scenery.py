@@ -1,0 +1,115 @@
+"""What a robot is drawn in: light, ground, a ruler and cameras. It touches nothing and moves nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any
+
+import mujoco
+
+from caterpillar_env.morphology import Morphology
+
+#: Cameras of a drawn robot. All follow it: obliquely, at its side, from above.
+CAMERAS = ("track", "side", "top")
+RULER = "ruler"
+
+_RULER_CM = (-50, 150)
+_RULER_WIDTH_CM = 1.6
+_RULER_Y_M = -0.045
+_PIXELS_PER_CM = 32
+_SKY, _HORIZON = [0.80, 0.87, 0.93], [0.93, 0.95, 0.96]
+
+#: Where cameras stand from the centre of mass, in body lengths, and their x and y axes in the picture.
+_VIEWS = {
+    "track": ([0.0, -1.55, 0.85], [1, 0, 0, 0, 0.48, 0.877]),
+    "side": ([0.0, -1.75, 0.42], [1, 0, 0, 0, 0.233, 0.972]),
+    "top": ([0.0, 0.0, 2.0], [1, 0, 0, 0, 1, 0]),
+}
+
+
+def add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
+    """Light, sky, squares of 2 cm on the ground, and a ruler along x."""
+    spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
+    spec.visual.headlight.diffuse = [0.25, 0.25, 0.25]
+    spec.visual.map.znear = 0.02
+    spec.visual.map.fogstart, spec.visual.map.fogend = 1.2, 3.5
+    spec.visual.rgba.fog = [*_HORIZON, 1.0]
+    spec.visual.quality.shadowsize = 1024
+    spec.visual.quality.offsamples = 0  # smooth edges would take as long as all the rest
+    spec.visual.quality.numslices, spec.visual.quality.numstacks = 14, 9
+    spec.stat.extent, spec.stat.center = 0.3, [0, 0, 0.02]
+    spec.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=64, height=64,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, rgb1=_SKY, rgb2=_HORIZON,
+    )  # fmt: skip
+    spec.add_texture(
+        name="squares", type=mujoco.mjtTexture.mjTEXTURE_2D, width=128, height=128,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER, rgb1=[0.70, 0.73, 0.72], rgb2=[0.76, 0.79, 0.78],
+    )  # fmt: skip
+    _add_material(
+        spec, "squares", specular=0.0, texuniform=True, texrepeat=[50, 50]
+    )  # twice as large on an endless plane
+    ground.material = "squares"
+    spec.worldbody.add_light(
+        pos=[0, -0.3, 1.0], dir=[0, 0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        castshadow=True, diffuse=[0.45, 0.45, 0.45],
+    )  # fmt: skip
+    _add_ruler(spec)
+
+
+def add_cameras(head: mujoco.MjsBody, segments: Sequence[Morphology], make: Callable[..., Any]) -> None:
+    """The `CAMERAS`, from far enough to have all of the body in view."""
+    length_m = sum(m.segment_length_m for m in segments)
+    middle_m = segments[0].segment_length_m / 4 - length_m / 2
+    for name, ((x, y, z), axes) in _VIEWS.items():
+        make(
+            head.add_camera,
+            {
+                "name": name, "mode": mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM, "fovy": 40,
+                "xyaxes": axes,
+            },
+            pos=[middle_m + x * length_m, y * length_m, z * length_m],
+        )  # fmt: skip
+
+
+def _add_material(spec: mujoco.MjSpec, texture: str, **kwargs: Any) -> None:
+    material = spec.add_material(name=texture, **kwargs)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture
+
+
+def _add_ruler(spec: mujoco.MjSpec) -> None:
+    """A tape on the ground; its zero is put where the centre of mass starts when it is drawn."""
+    first, last = _RULER_CM
+    width, height, pixels = _ruler_picture()
+    texture = spec.add_texture(
+        name=RULER, type=mujoco.mjtTexture.mjTEXTURE_2D, width=width, height=height, nchannel=3,
+    )  # fmt: skip
+    texture.data = pixels
+    _add_material(spec, RULER, specular=0.0)
+    spec.worldbody.add_geom(
+        name=RULER, type=mujoco.mjtGeom.mjGEOM_PLANE, material=RULER, contype=0, conaffinity=0,
+        size=[(last - first) / 200, _RULER_WIDTH_CM / 200, 0.05],
+        pos=[(first + last) / 200, _RULER_Y_M, 0.0003],
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=1)
+def _ruler_picture() -> tuple[int, int, bytes]:
+    """Width, height and RGB bytes of the tape: a tick every centimetre, a number every fifth."""
+    from PIL import Image, ImageDraw, ImageFont  # here: a robot that is not drawn needs none of it
+
+    first, last = _RULER_CM
+    width, height = (last - first) * _PIXELS_PER_CM, round(_RULER_WIDTH_CM * _PIXELS_PER_CM)
+    image = Image.new("RGB", (width, height), (250, 244, 214))
+    draw = ImageDraw.Draw(image)
+    font = ImageFont.load_default(0.55 * height)
+    ink = (40, 40, 40)
+    draw.rectangle((0, 0, width - 1, height - 1), outline=ink)
+    for cm in range(first + 1, last):
+        x = (cm - first) * _PIXELS_PER_CM
+        fifth = cm % 5 == 0
+        draw.line((x, 0, x, height * (0.4 if fifth else 0.22)), fill=ink, width=3 if fifth else 2)
+        if fifth:
+            draw.text((x, 0.94 * height), f"{cm} cm", fill=ink, font=font, anchor="ms")
+    return width, height, image.tobytes()

@@ -1,0 +1,141 @@
+"""The subcommand `replay`: recorded robots once more, compared with their records, and on video."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.rendering import RenderingError
+from evolution import cli
+from evolution.individual import Individual, label
+from evolution.records import leaders
+from evolution.video import Recording, VideoConfig, check_kind, write_video
+
+
+class ReplayError(CaterpillarError):
+    """There is no such robot to be replayed."""
+
+
+@dataclass(frozen=True)
+class ReplayArgs:
+    """Simulate recorded robots once more, compare with their records, and make a video.
+
+    Several robots are shown side by side. The film of an evolution shows the best robot of a run
+    after some of its generations: `caterpillar replay RUN --generations 0 5 10 25 50`.
+    """
+
+    source: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Run folders, or JSON files of one robot each (best.json)."""
+    generations: tuple[int, ...] = ()
+    """Of one run: show the best robot so far after these generations; they come behind the folder."""
+    timestep: float | None = None
+    """Another timestep than the recorded one, in s: 0.0005, say."""
+    json: bool = False
+    """Print data instead of sentences; a list of them for several robots."""
+    video: bool = True
+    """Make a video."""
+    out: Path | None = None
+    """The video, .mp4 or .gif; by default replay.mp4 or, of generations, film.mp4 beside the source; for
+    several sources replay.mp4 here."""
+    picture: VideoConfig = field(default_factory=VideoConfig)
+
+
+def replay_command(argv: Sequence[str]) -> int:
+    """`caterpillar replay`."""
+    args = cli.parse(ReplayArgs, argv, "replay")
+    robots = _robots(args)
+    out = args.out or _beside(args)
+    if args.video:
+        check_kind(out)
+        args.picture.layout(len(robots))
+    elif args.out is not None:
+        raise ReplayError(f"--out {args.out} names a video, and --no-video wants none: give one of them")
+    recordings, told = [], []
+    for title, robot in robots:
+        recording = Recording(robot, title, timestep_s=args.timestep)
+        recordings.append(recording)
+        said = _compared(recording, args.timestep)
+        told.append({"title": title, **said} if len(robots) > 1 else said)
+        if not args.json:
+            print(f"{title}: " * (len(robots) > 1) + _sentence(said))
+    if args.json:
+        print(json.dumps(told if len(robots) > 1 else told[0], indent=2))
+    if args.video:
+        print(f"writing {out} ...", file=sys.stderr)
+        try:
+            write_video(recordings, out, args.picture)
+        except RenderingError as error:
+            if args.out is not None:
+                raise
+            print(f"no video: {error}", file=sys.stderr)
+    return 0
+
+
+def _robots(args: ReplayArgs) -> list[tuple[str, Individual]]:
+    """The robots with their titles."""
+    if not args.source:
+        raise ReplayError("give a run folder or the JSON file of a robot (best.json), or several")
+    if not args.generations:
+        titles = [_title(path) for path in args.source]
+        unique = len(set(titles)) == len(titles)
+        names = titles if unique else list(map(str, args.source))
+        return [(name, Individual.load(path)) for name, path in zip(names, args.source, strict=True)]
+    if len(args.source) > 1 or min(args.generations) < 0:
+        raise ReplayError(
+            "--generations takes one run folder and numbers from 0; got "
+            f"{' '.join(map(str, args.source))} and {' '.join(map(str, args.generations))}"
+        )
+    best = leaders(args.source[0])
+    last = len(best) - 1
+    if max(args.generations) > last:
+        print(f"{args.source[0]} ends with generation {last}, shown for later ones", file=sys.stderr)
+    chosen = dict.fromkeys(min(number, last) for number in args.generations)
+    return [(f"generation {number}", best[number]) for number in chosen]
+
+
+def _title(path: Path) -> str:
+    """Of a run folder or its best.json the folder's name, else the file's."""
+    if path.is_dir():
+        return path.resolve().name
+    return path.resolve().parent.name if path.name == "best.json" else path.stem
+
+
+def _beside(args: ReplayArgs) -> Path:
+    if len(args.source) > 1:
+        return Path("replay.mp4")
+    (source,) = args.source
+    folder = source if source.is_dir() else source.parent
+    return folder / ("film.mp4" if args.generations else "replay.mp4")
+
+
+def _compared(recording: Recording, timestep_s: float | None) -> dict[str, Any]:
+    robot, outcomes = recording.robot, recording.outcomes
+    fitness_m = float(outcomes.fitness()[0])
+    return {
+        "fitness_m": fitness_m,
+        "recorded_fitness_m": robot.fitness_m,
+        "identical": fitness_m == robot.fitness_m,
+        "failure": label(outcomes.failure[0]),
+        "distance_m": float(outcomes.distance_m[0]),
+        "energy_j": float(outcomes.energy_j[0]),
+        "simulated_s": float(outcomes.simulated_s[0]),
+        "timestep_s": timestep_s or robot.physics.timestep_s,
+    }
+
+
+def _sentence(said: dict[str, Any]) -> str:
+    recorded = said["recorded_fitness_m"]
+    if not recorded:
+        verdict = "nothing recorded to compare with"
+    elif said["identical"]:
+        verdict = "the same as recorded, bit for bit"
+    else:
+        verdict = f"recorded {recorded!r} m: {100 * (said['fitness_m'] / recorded - 1):+.1f} %"
+    return f"fitness {said['fitness_m']!r} m ({said['failure']}), {said['energy_j']:.1f} J, {verdict}"

@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from caterpillar_env import SmaSpring
+from caterpillar_env.overlay import Readout, annotate, spring_rgb
+from caterpillar_env.task import Failure, Progress
+
+SPRING = SmaSpring()
+GREY = np.full((240, 320, 3), 128, dtype=np.uint8)
+PLAIN = Readout(1.0, 0.02, 3.0)
+
+
+def changed(readout, of=GREY):
+    return (annotate(of, readout, SPRING) != of).any(axis=2)
+
+
+def test_springs_are_blue_cold_yellow_warm_and_red_hot():
+    cold, warm, hot = spring_rgb(SPRING, np.array([25.0, 68.0, 120.0]))
+    assert cold.argmax() == 2
+    assert warm[0] > 0.9
+    assert warm[1] > 0.8
+    assert warm[2] < 0.3
+    assert hot.argmax() == 0
+    assert hot[1:].max() < 0.2
+
+
+def test_colours_blend_between_and_stay_beyond():
+    below, cold, half, warm, hot, beyond = spring_rgb(
+        SPRING, np.array([10.0, 25.0, (25 + 68) / 2, 68.0, 120.0, 500.0])
+    )
+    np.testing.assert_allclose(half, (cold + warm) / 2)
+    np.testing.assert_allclose(below, cold)
+    np.testing.assert_allclose(beyond, hot)
+
+
+def test_readout_and_legend_are_in_the_upper_corners():
+    marked = changed(PLAIN)
+    assert marked[:60, :80].mean() > 0.3
+    assert marked[:60, 200:].mean() > 0.3
+    assert not marked[80:].any()
+    assert GREY.std() == 0  # untouched
+
+
+def test_legend_has_the_colours_of_the_springs():
+    legend = annotate(GREY, PLAIN, SPRING)[:70, 160:].reshape(-1, 3) / 255
+    for rgb in spring_rgb(SPRING, np.array([25.0, 68.0, 120.0])):
+        assert np.abs(legend - rgb).max(axis=1).min() < 0.06
+
+
+@pytest.mark.parametrize("other", [{"time_s": 2.0}, {"distance_m": -0.02}, {"energy_j": 9.0}])
+def test_numbers_are_told(other):
+    before, after = (annotate(GREY, r, SPRING) for r in (PLAIN, PLAIN._replace(**other)))
+    differs = (before != after).any(axis=2)
+    assert differs[:40, :160].any()
+    assert not differs[40:].any()
+
+
+def test_failure_is_told_in_red():
+    def red(readout):
+        picture = annotate(GREY, readout, SPRING)[:, :140].astype(int)
+        return ((picture[..., 0] > 150) & (picture[..., 1] < 80)).sum()
+
+    assert red(PLAIN) == 0
+    assert red(PLAIN._replace(failure="veered")) > 20
+
+
+def test_long_title_stays_clear_of_the_legend():
+    titled = annotate(GREY, PLAIN._replace(title="m" * 500), SPRING)
+    np.testing.assert_array_equal(titled[:, 190:], annotate(GREY, PLAIN, SPRING)[:, 190:])
+    assert changed(PLAIN._replace(title="m" * 500))[:, :150].sum() > changed(PLAIN)[:, :150].sum()
+
+
+@pytest.mark.parametrize("size", [(48, 64), (64, 64), (64, 200), (400, 64)])
+def test_small_pictures_keep_their_size(size):
+    frame = np.zeros((*size, 3), dtype=np.uint8)
+    drawn = annotate(frame, PLAIN._replace(title="robot", failure="tipped"), SPRING)
+    assert drawn.shape == frame.shape
+    assert not drawn[:, 160:].any()  # no room for the legend
+
+
+def test_readout_of_a_row():
+    progress = Progress(
+        np.array([1.0, 2.0]), np.array([0.1, 0.2]), np.zeros(2), np.zeros(2), np.array([3.0, 4.0]),
+        np.array([Failure.NONE, Failure.TIPPED]),
+    )  # fmt: skip
+    assert Readout.of(progress) == (1.0, 0.1, 3.0, "ok", "")
+    assert Readout.of(progress, 1) == (2.0, 0.2, 4.0, "tipped", "")
