@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
@@ -121,7 +122,7 @@ class Hyperparameters(NamedTuple):
         """As plain JSON, without the callbacks: to keep, and to compare."""
         shown = (int, float, str, dict)
         model = {k: v if isinstance(v, shown) else str(v) for k, v in self.model.items()}
-        kept = self._replace(model=model)._asdict()
+        kept = deepcopy(self._replace(model=model, callbacks=[])._asdict())  # learners add to theirs
         del kept["callbacks"]
         return kept
 

@@ -23,7 +23,7 @@ class Outcomes(NamedTuple):
     """What became of P genomes. A failure is a status, not a number."""
 
     failure: NDArray[np.int8]  #: values of `Failure`, (P,)
-    distance_m: Array  #: until the end or the failure, (P,)
+    distance_m: Array  #: until the end or the failure, finite, (P,)
     energy_j: Array  #: electrical, (P,)
     simulated_s: Array  #: really stepped, (P,)
 
@@ -83,4 +83,6 @@ def simulate(
         crawl.run(part, on_interval=on_interval, trace=trace)
         first += part.shape[1]
     done = crawl.progress()
-    return Outcomes(done.failure, done.distance_m, done.energy_j, done.time_s)
+    # Of a robot that went nowhere finite no distance can be told; its status says why.
+    distance_m = np.where(np.isfinite(done.distance_m), done.distance_m, 0.0)
+    return Outcomes(done.failure, distance_m, done.energy_j, done.time_s)

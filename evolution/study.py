@@ -174,7 +174,7 @@ def read_toml(path: Path) -> StudyConfig:
 
 
 def preset(name: str) -> StudyConfig:
-    """One of the studies that come with the package: paper, ablation, pilot."""
+    """One of the studies that come with the package: paper, ablation, pilot, rl-pilot."""
     return read_toml(Path(__file__).with_name("studies") / f"{name}.toml")
 
 

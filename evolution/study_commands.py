@@ -28,7 +28,7 @@ class StudyArgs:
 
     file: Annotated[Path | None, tyro.conf.Positional] = None
     """TOML file that describes the study (docs/study.md)."""
-    preset: Literal["paper", "ablation", "pilot"] | None = None
+    preset: Literal["paper", "ablation", "pilot", "rl-pilot"] | None = None
     """Instead of a file: a study that comes with the package."""
     out: Path | None = None
     """The study's folder; by default studies/ and the name of the file or preset."""
@@ -46,7 +46,7 @@ def study_command(argv: Sequence[str]) -> int:
     """`caterpillar study`."""
     args = cli.parse(StudyArgs, argv, "study")
     if (args.file is None) == (args.preset is None):
-        raise CaterpillarError("give either a TOML file or --preset paper, ablation or pilot")
+        raise CaterpillarError("give either a TOML file or --preset paper, ablation, pilot or rl-pilot")
     config = study.read_toml(args.file) if args.file else study.preset(str(args.preset))
     folder = args.out or Path("studies") / (args.file.stem if args.file else str(args.preset))
     study.begin(config, folder)

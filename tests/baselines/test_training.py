@@ -7,7 +7,7 @@ import pytest
 
 from baselines import training
 from baselines.config import TrainConfig, TrainingError, hyperparameters
-from baselines.policy import Policy, TrainedRobot, load
+from baselines.policy import AtRandom, Policy, TrainedRobot, judge, load
 from baselines.records import RECORD, Point, Record, evaluations
 from baselines.training import train
 from caterpillar_env.model import Physics
@@ -141,20 +141,30 @@ def test_conditions_are_drawn_in_training_and_not_in_evaluation(tmp_path, monkey
 )
 @pytest.mark.filterwarnings("default")
 def test_every_algorithm_trains_and_comes_back(tmp_path, algorithm, mode, fields):
-    result = train(config(algorithm, mode, budget_s=2500.0, **fields), tmp_path / "run")
+    asked = config(algorithm, mode, budget_s=2500.0, **fields)
+    result = train(asked, tmp_path / "run")
     assert result.finished
     assert np.isfinite([p.distance_m for p in result.points]).all()
     assert load(tmp_path / "run", "last").actor._n_updates > 0
+    # Learners add to their settings; the record is of what they were given.
+    learned = Record.load(tmp_path / "run").hyperparameters
+    assert learned == hyperparameters(asked).plain()
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_a_policy_learns_to_crawl_farther_than_before_and_than_at_random(tmp_path):
-    """The reference robot at a coarse timestep, two thousand seconds: a first step, not a gait."""
-    asked = TrainConfig("ppo", "timing", budget_s=2500.0, evaluations=10, seed=0)
+    """Five thousand seconds of the nominal robot: a first step, not a gait."""
+    asked = TrainConfig("ppo", "timing", budget_s=5000.0, evaluations=12, seed=0)
     result = train(asked, tmp_path / "run")
-    late = [p.distance_m for p in result.points[-3:]]
+    robot = TrainedRobot.load(tmp_path / "run")
+    at_random = Policy(AtRandom(judge(asked).action_space, 0), None)
+    drawn = [
+        float(at_random.crawl(judge(asked), seed, asked.morphology).distance_m[0]) for seed in range(12)
+    ]
+    late = [p.distance_m for p in result.points[-4:]]
     assert np.median(late) > result.points[0].distance_m + 0.01
+    assert robot.fitness_m > max(drawn)
 
 
 def test_folder_that_holds_something_is_refused(trained):

@@ -8,7 +8,7 @@ from caterpillar_env.errors import SimulationError, TimingError
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
-from caterpillar_env.task import EPISODE_S, Failure
+from caterpillar_env.task import EPISODE_S, Crawl, Failure
 from evolution.fitness import Outcomes, evaluate, simulate
 from evolution.genome import GenomeError, decode
 from evolution.run import RunConfig
@@ -134,6 +134,19 @@ def test_diverged_robot_stops_at_once_and_has_finite_fitness(tmp_path, monkeypat
     assert result.failure.tolist() == [Failure.DIVERGED] * 2
     assert np.all(result.simulated_s < 30.0)
     assert result.fitness().tolist() == [0.0, 0.0]
+
+
+def test_distance_is_finite_even_where_the_robot_is_nowhere(monkeypatch):
+    progress = Crawl.progress
+
+    def lost(self, rows=None):
+        found = progress(self, rows)
+        return found._replace(distance_m=np.full_like(found.distance_m, np.nan))
+
+    monkeypatch.setattr(Crawl, "progress", lost)
+    bodies, timings = decode(genomes(1), 2, PERIOD_S)
+    told = simulate(bodies, timings, SHORT, threads=1, duration_s=0.1)
+    assert told.distance_m.tolist() == [0.0]
 
 
 def test_failed_robots_stop_while_sound_ones_go_on():

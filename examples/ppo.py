@@ -1,0 +1,56 @@
+"""PPO in one file, in the manner of CleanRL, on the native vector environment; needs torch."""
+
+import gymnasium
+import torch
+from gymnasium.wrappers.vector import NormalizeObservation, NormalizeReward, RecordEpisodeStatistics
+from torch import nn
+from torch.distributions import Normal
+
+NUM_ENVS, STEPS, EPOCHS = 8, 6, 10  # an episode is six steps
+UPDATES = 4  # to see it run; it takes a hundred to learn something
+GAMMA, LAMBDA, CLIP = 0.5, 0.95, 0.2
+
+torch.manual_seed(0)
+envs = gymnasium.make_vec("caterpillar_env:CaterpillarSMA-v0", num_envs=NUM_ENVS)
+envs = NormalizeReward(NormalizeObservation(RecordEpisodeStatistics(envs)), gamma=GAMMA)
+inputs, outputs = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
+actor = nn.Sequential(nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, outputs))
+critic = nn.Sequential(nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 1), nn.Flatten(0))
+log_std = nn.Parameter(torch.full((outputs,), -1.2))
+with torch.no_grad():
+    actor[-1].weight.mul_(0.01)
+    actor[-1].bias.copy_(torch.tensor([-0.2, 0.2]).repeat(outputs // 2))  # on for 20 % of the time
+adam = torch.optim.Adam([*actor.parameters(), *critic.parameters(), log_std], lr=1e-3)
+
+state = torch.as_tensor(envs.reset(seed=0)[0])
+fresh = torch.zeros(NUM_ENVS, dtype=torch.bool)  # rows that do nothing but start anew in a step
+for update in range(UPDATES):
+    steps, returns = [], []
+    for _ in range(STEPS):
+        with torch.no_grad():
+            policy = Normal(actor(state), log_std.exp())
+            action = policy.sample()
+            seen, reward, terminated, truncated, info = envs.step(action.clamp(-1, 1).numpy())
+            following = torch.as_tensor(seen)
+            future = critic(following) * ~torch.as_tensor(terminated)  # a truncated robot has one
+            error = torch.as_tensor(reward) + GAMMA * future - critic(state)
+        done = torch.as_tensor(terminated | truncated)
+        steps.append((state, action, policy.log_prob(action).sum(1), error, done, ~fresh))
+        returns += list(info["episode"]["r"][info["_episode"]]) if "episode" in info else []
+        state, fresh = following, done
+    gain, gains = torch.zeros(NUM_ENVS), []
+    for *_, error, done, _ in reversed(steps):
+        gain = error + GAMMA * LAMBDA * ~done * gain
+        gains.insert(0, gain)
+    used = torch.cat([step[5] for step in steps])
+    states, actions, before = (torch.cat([step[i] for step in steps])[used] for i in range(3))
+    gain = torch.cat(gains)[used].float()
+    goal = gain + critic(states).detach()
+    for _ in range(EPOCHS):
+        ratio = (Normal(actor(states), log_std.exp()).log_prob(actions).sum(1) - before).exp()
+        gained = torch.minimum(ratio * gain, ratio.clamp(1 - CLIP, 1 + CLIP) * gain).mean()
+        loss = (critic(states) - goal).square().mean() - gained
+        adam.zero_grad()
+        loss.backward()
+        adam.step()
+    print(f"update {update}: {sum(returns) / max(len(returns), 1):5.2f} cm in {len(returns)} episodes")
