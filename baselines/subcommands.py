@@ -58,14 +58,14 @@ def train_command(argv: Sequence[str]) -> int:
     name = f"{config.algorithm}-{config.mode}" + ("-bandit" if config.open_loop else "")
     name += "" if config.design == "fixed" else f"-{config.design}-body"
     folder = args.out or unused(Path("runs"), f"{name}-seed{config.seed}")
-    console = Console(stderr=True, markup=False, highlight=False)
+    console = cli.console()
     with _Display(config, console) as display:
         result = train(
             config, folder, on_point=display.point, on_progress=display.progress,
             tensorboard=args.track == "tensorboard", threads=args.threads,
         )  # fmt: skip
     if not result.finished:
-        console.print(f"stopped; the policies so far are in {folder}", soft_wrap=True)
+        console.print(f"stopped; the policies so far are in {folder}")
         return 130
     if args.video:
         film(TrainedRobot.load(folder), folder / "best.mp4", console)
@@ -111,7 +111,6 @@ class _Display:
         self._console.print(
             f"{100 * min(share, 1.0):3.0f} %{left}  simulated {point.simulated_s:,.0f} s  deterministic "
             f"policy: {1000 * point.distance_m:.1f} mm ({point.failure}), best {best}",
-            soft_wrap=True,
         )
 
 
@@ -174,7 +173,7 @@ def eval_command(argv: Sequence[str]) -> int:
             low, middle, high = 1000 * np.quantile(fitness, [0.25, 0.5, 0.75])
             print(f"median {middle:.1f} mm, quartiles {low:.1f} to {high:.1f}, failures counted as 0")
     if args.video:
-        film(robot, args.folder / "eval.mp4", Console(stderr=True, markup=False, highlight=False))
+        film(robot, args.folder / "eval.mp4", cli.console())
     return 0
 
 
@@ -233,5 +232,5 @@ def compare_command(argv: Sequence[str]) -> int:
                 *(f"{1000 * m:.1f} mm" for m in row[3:]),
             )  # fmt: skip
         Console(width=140).print(table)
-    Console(stderr=True, markup=False, highlight=False).print(f"learning curves drawn in {args.out}")
+    cli.console().print(f"learning curves drawn in {args.out}")
     return 0

@@ -13,7 +13,7 @@ import mujoco
 from benchmarks.harness import report, rounds, spread, timed
 from caterpillar_env.model import SMA_STEP_S, Physics
 from caterpillar_env.task import Crawl
-from evolution.speed import Recording, recorded
+from evolution.speed import EngineCalls, recorded
 from evolution.validation.robots import evolved_robots, together
 
 SECONDS = 5.0
@@ -29,7 +29,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 
 
-def recording(**changes: Any) -> Recording:
+def recording(**changes: Any) -> EngineCalls:
     """The engine's calls of one gait period."""
     physics = replace(Physics(), **changes)
     bodies, timings = together(evolved_robots(8))
@@ -41,7 +41,9 @@ def recording(**changes: Any) -> Recording:
     return calls
 
 
-def cost(calls: Recording, edit: Callable[[mujoco.MjModel], None] | None = None) -> Callable[[], float]:
+def cost(
+    calls: EngineCalls, edit: Callable[[mujoco.MjModel], None] | None = None
+) -> Callable[[], float]:
     """Seconds per step, the models edited first."""
     if edit is not None:
         calls = copy.copy(calls)

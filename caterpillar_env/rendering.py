@@ -10,13 +10,14 @@ from functools import cache
 from itertools import pairwise
 from typing import Any, TypeVar
 
+import glfw
 import gymnasium
 import mujoco
 import numpy as np
 from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
 from numpy.typing import NDArray
 
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import INSTALL_DRAWING, CaterpillarError
 from caterpillar_env.overlay import CONTACT_RGB, PATH_RGB, Readout, annotate, spring_rgb
 from caterpillar_env.scenery import CAMERAS, RULER
 from caterpillar_env.sma import SmaSpring
@@ -71,6 +72,12 @@ def check_picture(width: int, height: int, camera_name: str | None) -> None:
             raise RenderingError(f"{name} must be a number of pixels from 1 to 8192; got {value!r}")
     if camera_name is not None and camera_name not in CAMERAS:
         raise RenderingError(f"camera must be one of {', '.join(CAMERAS)}; got {camera_name!r}")
+
+
+def _mend() -> str:
+    if os.environ.get("MUJOCO_GL", "disabled") in ("disabled", "osmesa", "egl"):
+        return f"{INSTALL_DRAWING}; `caterpillar doctor` tells more"
+    return "to draw without a display, export MUJOCO_GL=egl; `caterpillar doctor` tells more"
 
 
 class RobotRenderer:
@@ -208,14 +215,16 @@ class RobotRenderer:
             except Exception as error:  # whatever the drawing backend raises
                 _why_not = f"MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}: {_first_line(error)}"
         if self._picture is None:
-            raise RenderingError(
-                f"cannot draw ({_why_not}); install EGL (Debian: apt install libegl1) or OSMesa "
-                "(libosmesa6), and leave MUJOCO_GL unset"
-            )
+            raise RenderingError(f"cannot draw ({_why_not}); {_mend()}")
         return self._picture
 
     def _show(self) -> None:
         if self._window is None:
+            if not glfw.init():
+                raise RenderingError(
+                    f"cannot open a window on display {os.environ.get('DISPLAY', '')!r}; draw with "
+                    'render_mode="rgb_array" instead'
+                )
             camera: dict[str, Any] = {"camera_id": -1, "default_cam_config": self._camera_config}
             if isinstance(self._camera, str):
                 camera = {"camera_name": self._camera}

@@ -12,9 +12,12 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points, version
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from caterpillar_env.errors import CaterpillarError
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 T = TypeVar("T")
 
@@ -86,6 +89,13 @@ def parse(kind: type[T], argv: Sequence[str], command: str, default: T | None = 
             line = re.sub(r"\s+", " ", re.sub(r"[╭╮╰╯─│]+", " ", noise.getvalue())).strip()
             print(f"caterpillar {command}: error: {line}", file=sys.stderr)
         raise
+
+
+def console() -> Console:
+    """Where progress and remarks go: stderr. Folders' names are no markup, and stay in one line."""
+    from rich.console import Console
+
+    return Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 
 def _overview(commands: Sequence[str]) -> str:

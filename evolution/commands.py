@@ -106,7 +106,7 @@ def evolve_command(argv: Sequence[str]) -> int:
     args = cli.parse(EvolveArgs, argv, "evolve", EvolveArgs(config=PRESETS[_preset(argv)]))
     config = args.config
     folder = args.out or unused(Path("runs"), f"{config.optimizer}-{config.prior}-seed{config.seed}")
-    console = _console()
+    console = cli.console()
     workers = args.workers
     with _Reporter(config, console) as reporter, workers.following(reporter, folder) as told:
         result = evolve(
@@ -118,7 +118,7 @@ def evolve_command(argv: Sequence[str]) -> int:
 def resume_command(argv: Sequence[str]) -> int:
     """`caterpillar resume`."""
     args = cli.parse(ResumeArgs, argv, "resume")
-    console = _console()
+    console = cli.console()
     if args.repair:
         kept = Journal.repair(args.folder)
         console.print(f"kept {kept} evaluations; the old file is journal.sqlite.damaged")
@@ -142,11 +142,6 @@ def _preset(argv: Sequence[str]) -> str:
         if flag.startswith("--preset") and name in PRESETS:
             return name
     return "paper"
-
-
-def _console() -> Console:
-    """Where progress and remarks go; folders' names are no markup."""
-    return Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 
 def unused(parent: Path, name: str) -> Path:

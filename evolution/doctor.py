@@ -24,6 +24,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from caterpillar_env.errors import INSTALL_DRAWING
 from evolution import cli, machine
 
 PACKAGE = "caterpillar-sma"
@@ -33,10 +34,6 @@ _FOR_DEVELOPERS = ("test", "docs")
 _TRIAL_S = 8.0
 _PATIENCE_S = 120.0
 _BACKENDS: tuple[str | None, ...] = (None, "egl", "osmesa")
-_INSTALL_DRAWING = (
-    "apt install libegl1 libgl1-mesa-dri (Debian, Ubuntu), or apt install libosmesa6 and "
-    "export MUJOCO_GL=osmesa"
-)
 
 
 class Finding(NamedTuple):
@@ -65,7 +62,7 @@ class DoctorArgs:
 def doctor_command(argv: Sequence[str]) -> int:
     """`caterpillar doctor`."""
     args = cli.parse(DoctorArgs, argv, "doctor")
-    console = Console(stderr=True, markup=False, highlight=False)
+    console = cli.console()
     findings = [*installed(), *processor()]
     console.print("drawing a frame ...")
     findings += [drawing(), ffmpeg()]
@@ -173,7 +170,7 @@ def drawing() -> Finding:
         if backend != given and _trial("frame", MUJOCO_GL=backend).data is not None:
             mend = "unset MUJOCO_GL" if backend is None else f"export MUJOCO_GL={backend}"
             return Finding("drawing", "note", found, mend)
-    return Finding("drawing", "note", found, _INSTALL_DRAWING)
+    return Finding("drawing", "note", found, INSTALL_DRAWING)
 
 
 def ffmpeg() -> Finding:
@@ -241,19 +238,26 @@ def _trial(function: str, *arguments: float, **environment: str | None) -> Trial
 
 def frame() -> dict[str, str]:
     """Draw the robot off-screen: what drew it."""
-    from caterpillar_env.env import CaterpillarEnv
-    from caterpillar_env.errors import SimulationError
+    import mujoco
+    import numpy as np
 
-    env = CaterpillarEnv(render_mode="rgb_array", width=96, height=64)
-    env.reset(seed=0)
-    picture = env.render()
+    from caterpillar_env.errors import SimulationError
+    from caterpillar_env.model import Physics, build_model
+    from caterpillar_env.morphology import Morphology
+    from caterpillar_env.rendering import RobotRenderer
+
+    physics = Physics()
+    model = build_model(Morphology(), physics, physics.strengths())
+    renderer = RobotRenderer(model, mujoco.MjData(model), physics.spring, 96, 64)
+    cold_c = np.full(physics.num_springs, physics.spring.ambient_c)
+    picture = renderer.draw(model.qpos0, cold_c, "rgb_array")
     if picture is None or picture.std() < 1:
         raise SimulationError("the frame is empty")
     from OpenGL import GL
 
-    renderer = GL.glGetString(GL.GL_RENDERER)
-    env.close()
-    return {"backend": os.environ.get("MUJOCO_GL", "glfw"), "renderer": (renderer or b"?").decode()}
+    drawn_by = GL.glGetString(GL.GL_RENDERER)
+    renderer.close()
+    return {"backend": os.environ.get("MUJOCO_GL", "glfw"), "renderer": (drawn_by or b"?").decode()}
 
 
 def speed(robots: int, limit_s: float) -> dict[str, float]:

@@ -189,7 +189,9 @@ class Individual:
             file = path / "best.json" if path.is_dir() else path
             data = json.loads(file.read_text(encoding="utf-8"))
         except OSError as error:
-            raise IndividualError(f"cannot read {file}: {error.strerror}") from None
+            raise IndividualError(
+                f"cannot read {file}: {error.strerror}; give a run folder or the JSON file of one robot"
+            ) from None
         except ValueError as error:
             raise IndividualError(f"{file} is not JSON: {error}") from None
         try:

@@ -21,7 +21,7 @@ from evolution.validation.robots import random_robots
 Array = NDArray[np.float64]
 
 
-class Recording:
+class EngineCalls:
     """What a `Simulation` asks of the engine since its last reset, with its bodies and controls.
 
     Only the engine's work is repeated: no heating of springs, no judging, no observation.
@@ -50,9 +50,9 @@ class Recording:
 
 
 @contextmanager
-def recorded(simulation: Simulation) -> Iterator[Recording]:
+def recorded(simulation: Simulation) -> Iterator[EngineCalls]:
     """Record what `simulation`, just reset, asks of the engine within the block."""
-    recording = Recording(simulation)
+    recording = EngineCalls(simulation)
     batch = simulation._batch
 
     class Listener:

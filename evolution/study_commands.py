@@ -55,15 +55,15 @@ def study_command(argv: Sequence[str]) -> int:
         workers = RayTasks(args.ray_address)
     else:
         workers = Processes(args.processes or machine.cores())
-    console = Console(stderr=True, markup=False, highlight=False)
+    console = cli.console()
     try:
         with _Display(console) as display:
             failed = run_study(config, folder, workers, display.show)
     except KeyboardInterrupt:
-        console.print(f"stopped; go on with: caterpillar study {' '.join(argv)}", soft_wrap=True)
+        console.print(f"stopped; go on with: caterpillar study {' '.join(argv)}")
         return 130
     for cell, error in failed:
-        console.print(f"{cell.arm} seed {cell.seed} failed: {error}", soft_wrap=True)
+        console.print(f"{cell.arm} seed {cell.seed} failed: {error}")
     _report(folder, console, look_again=args.winners)
     return 1 if failed else 0
 
@@ -113,7 +113,6 @@ class _Display:
             self._console.print(
                 f"{progress.finished} of {progress.cells} runs, {100 * progress.spent:.0f} %{eta};"
                 + ";".join(lines),
-                soft_wrap=True,
             )
 
 
@@ -132,7 +131,7 @@ class ReportArgs:
 def report_command(argv: Sequence[str]) -> int:
     """`caterpillar report`."""
     args = cli.parse(ReportArgs, argv, "report")
-    console = Console(stderr=True, markup=False, highlight=False)
+    console = cli.console()
     if (args.folder / study.SETTINGS).is_file():
         _report(args.folder, console, look_again=args.winners)
     elif (args.folder / JOURNAL).is_file():
@@ -162,7 +161,6 @@ def _report(folder: Path, console: Console, *, look_again: bool) -> None:
         console.print(
             f"warning: runs were made under {len(different)} different sets of versions or machines "
             "(table sessions of their journals): bits differ, and perhaps more",
-            soft_wrap=True,
         )
     if look_again:
         console.print("looking at the best robots again ...")

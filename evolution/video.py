@@ -223,7 +223,7 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
             writer.close()
             os.replace(partial, path)
         except OSError as error:
-            raise VideoError(f"cannot write {path}: {error}") from None
+            raise VideoError(f"cannot write {path}: {str(error).splitlines()[0]}") from None
 
 
 def _who(recordings: Sequence[Recording]) -> str:
@@ -245,10 +245,14 @@ def _times(duration_s: float, speed: float, fps: float) -> NDArray[np.float64]:
 
 
 def check_kind(path: Path) -> None:
-    """Whether a video can have this name.
+    """Whether a video can have this name and place.
 
     Raises:
-        VideoError: neither .mp4 nor .gif.
+        VideoError: neither .mp4 nor .gif, or no folder that can be written to.
     """
     if path.suffix not in FRAMES_PER_SECOND:
         raise VideoError(f"a video is an .mp4 or a .gif file; got {path}")
+    folder = path.parent
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        what = "cannot be written" if folder.is_dir() else "is no folder"
+        raise VideoError(f"cannot write {path}: {folder} {what}; choose another place with --out")

@@ -55,7 +55,7 @@ def validate_command(argv: Sequence[str]) -> int:
         raise CaterpillarError(
             f"cannot make {args.out}: {error.strerror}; choose another --out"
         ) from None
-    console = Console(stderr=True, markup=False, highlight=False)
+    console = cli.console()
     results: dict[str, list[Check]] = {}
     for name, run in groups(quick=args.quick).items():
         console.print(f"{name} ... ", end="")

@@ -9,7 +9,6 @@ from html import unescape
 import numpy as np
 import polars
 import pytest
-from playwright.sync_api import sync_playwright
 
 from caterpillar_env.model import Physics
 from evolution import cli, run_report
@@ -21,7 +20,7 @@ from evolution.optimizers.cma_es import CmaConfig
 from evolution.optimizers.ga import GaConfig
 from evolution.records import table
 from evolution.run import RunConfig, evolve
-from evolution.video import write_video
+from evolution.video import Recording, VideoConfig, write_video
 
 CONFIG = RunConfig(
     seed=4, generations=2, physics=Physics(num_segments=2, timestep_s=0.01, friction=0.7),
@@ -314,7 +313,8 @@ def filmed(folder, tmp_path_factory):
     """A run's page with a film of half a second in it."""
     copy = tmp_path_factory.mktemp("filmed") / "run"
     shutil.copytree(folder, copy)
-    write_video(Individual.load(copy), copy / "best.mp4", speed=60.0, width=160, height=120)
+    recording = Recording(Individual.load(copy))
+    write_video([recording], copy / "best.mp4", VideoConfig(60.0, 160, 120))
     film = (copy / "best.mp4").read_bytes()
     assert cli.main(["report", str(copy)]) == 0
     assert (copy / "best.mp4").read_bytes() == film  # it is of this robot: none is made anew
@@ -326,8 +326,9 @@ def filmed(folder, tmp_path_factory):
 @pytest.mark.parametrize("width_px", [1100, 400])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_browser_shows_the_page_without_errors_or_requests(filmed, width_px, scheme):
+    sync_api = pytest.importorskip("playwright.sync_api")
     address, complaints, asked = filmed.as_uri(), [], []
-    with sync_playwright() as playwright:
+    with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(
             executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"]
         )

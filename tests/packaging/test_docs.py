@@ -20,7 +20,8 @@ PAGES = [*SITE, *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHAN
 SHORT = {
     "evolve": "--generations 1 --population 4 --hall-of-fame 1 --cma-population 4 --no-video",
     "resume": "--generations 2 --no-video",
-    "replay": "--no-video",
+    "replay": "--speed 300 --width 128 --height 96",
+    "view": "--help",  # else it would serve for ever
 }
 
 
