@@ -15,6 +15,7 @@ from baselines.config import TrainConfig, TrainingError, hyperparameters
 from baselines.policy import TrainedRobot
 from baselines.records import RECORD, Record, evaluations
 from baselines.training import train
+from caterpillar_env.gait import GAIT_PERIOD_S
 from evolution.arms import ArmError, Standing
 
 
@@ -40,7 +41,16 @@ class TrainArm:
 
     @classmethod
     def shared(cls, base: Mapping[str, Any]) -> Mapping[str, Any]:
-        """See `evolution.arms.Arm`: the physics."""
+        """See `evolution.arms.Arm`: the physics.
+
+        Raises:
+            ArmError: evolution has another gait period.
+        """
+        if base.get("gait_period_s", GAIT_PERIOD_S) != GAIT_PERIOD_S:
+            raise ArmError(
+                f"base.gait_period_s = {base['gait_period_s']!r}: policies have one of "
+                f"{GAIT_PERIOD_S:g} s; say another in the arms that evolve"
+            )
         return {name: base[name] for name in ("physics",) if name in base}
 
     def train_config(self, seed: int, budget_s: float) -> TrainConfig:
@@ -61,15 +71,17 @@ class TrainArm:
             return False
         try:
             record = Record.load(folder)
-        except TrainingError:
-            return False  # killed as it wrote: done anew
+        except TrainingError as error:
+            raise ArmError(f"{error}; choose another folder for the study, or remove this one") from None
+        if not record.finished:
+            return False
         config = self.train_config(seed, budget_s)
         if (record.config, record.hyperparameters) != (config, hyperparameters(config).plain()):
             raise ArmError(
                 f"{folder} was run with other settings; choose another folder for the study, or "
                 "remove it"
             )
-        return record.finished
+        return True
 
     def standing(self, folder: Path) -> Standing:
         """See `evolution.arms.Arm`."""
@@ -106,5 +118,5 @@ class TrainArm:
 
     def best(self, folder: Path, budget_s: float) -> TrainedRobot | None:
         """See `evolution.arms.Arm`."""
-        robot = TrainedRobot.load(folder)
-        return robot if (robot.fitness_m or 0.0) > 0 else None
+        able = any(p.failure == "ok" and p.distance_m > 0 for p in evaluations(folder))
+        return TrainedRobot.load(folder) if able else None

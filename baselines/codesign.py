@@ -9,13 +9,12 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from baselines.config import TrainConfig, TrainingError
+from baselines.config import POPULATION, TrainConfig, TrainingError
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.morphology import Morphology
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.run import RunConfig
 
-POPULATION = 8  #: bodies at a time, each crawled in by a share of the robots
 FROZEN_SHARE = 0.2  #: of the budget, at its end, in which the body stays
 
 

@@ -25,7 +25,8 @@ AlgorithmName = Literal["ppo", "a2c", "sac", "tqc", "ars"]
 Mode = Literal["timing", "switch"]
 Design = Literal["fixed", "uniform", "preprocessed"]
 ENVIRONMENTS: dict[str, str] = {"timing": "CaterpillarSMA-v0", "switch": "CaterpillarSMASwitch-v0"}
-ROBOTS_PER_BODY = 2  #: that crawl in each body that CMA-ES proposes
+POPULATION = 8  #: bodies that CMA-ES proposes at a time
+ROBOTS_PER_BODY = 2  #: that crawl in each of them
 HYPERPARAMETERS = Path(__file__).with_name("hyperparams")
 _SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf", "delta_std")
 
@@ -71,8 +72,11 @@ class TrainConfig:
             raise TrainingError("open_loop holds one choice of timings: it needs mode timing")
         if self.design != "fixed" and (self.algorithm != "ppo" or self.open_loop):
             raise TrainingError("a body is evolved around ppo's closed-loop policy only")
+        if self.design != "fixed" and self.morphology != Morphology():
+            raise TrainingError(f"design = {self.design!r} evolves the body: none can be given as well")
         object.__setattr__(self, "randomize", {k: tuple(v) for k, v in self.randomize.items()})
-        Randomization.of(self.randomize)
+        if (randomization := Randomization.of(self.randomize)) is not None:
+            randomization.check(self.physics)
         hyperparameters(self)
 
     @classmethod
@@ -150,11 +154,14 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
         if isinstance(value := settings.get(name), str):
             settings[name] = LinearSchedule(float(value.removeprefix("lin_")), 0.0, 1.0)
     if config.design != "fixed":
-        n_envs *= ROBOTS_PER_BODY
+        n_envs = POPULATION * ROBOTS_PER_BODY
     if config.open_loop:
         env_kwargs["frame_skip"] = config.periods_per_step
-        if "n_steps" in settings:  # as many episodes
-            settings["n_steps"] = max(1, settings["n_steps"] // config.periods_per_step)
+        for name in ("n_steps", "learning_starts"):  # as many episodes
+            if name in settings:
+                settings[name] = max(1, settings[name] // config.periods_per_step)
+        if "gamma" in settings:
+            settings["gamma"] = 0.0  # nothing comes after the one decision
     kwargs = None
     if normalize:
         kwargs = {"gamma": settings.get("gamma", 0.99)} | (

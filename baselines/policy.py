@@ -93,7 +93,8 @@ class Policy:
             step = robot.step(robot.checked(action, 1), row, on_interval, trace=trace)
             seen, ended = step.observation, bool(step.terminated[0] or step.truncated[0])
         final = robot.crawl.progress(row)
-        return Outcomes(final.failure, final.distance_m, final.energy_j, final.time_s)
+        distance_m = np.where(np.isfinite(final.distance_m), final.distance_m, 0.0)
+        return Outcomes(final.failure, distance_m, final.energy_j, final.time_s)
 
 
 def load(folder: Path, which: Which = "best") -> Policy:

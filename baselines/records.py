@@ -48,17 +48,21 @@ def evaluations(folder: Path) -> list[Point]:
             rows = list(csv.DictReader(file))
     except OSError:
         return []
-    return [
-        Point(
-            simulated_s=float(row["simulated_s"]),
-            distance_m=float(row["distance_m"]),
-            energy_j=float(row["energy_j"]),
-            time_s=float(row["time_s"]),
-            failure=row["failure"],
-            morphology=Morphology.of({name: float(row[name]) for name in NAMES}),
+    points = []
+    for row in rows:
+        if None in row.values():
+            break  # it is being written
+        points.append(
+            Point(
+                simulated_s=float(row["simulated_s"]),
+                distance_m=float(row["distance_m"]),
+                energy_j=float(row["energy_j"]),
+                time_s=float(row["time_s"]),
+                failure=row["failure"],
+                morphology=Morphology.of({name: float(row[name]) for name in NAMES}),
+            )
         )
-        for row in rows
-    ]
+    return points
 
 
 class Record(NamedTuple):

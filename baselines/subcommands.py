@@ -144,6 +144,8 @@ def eval_command(argv: Sequence[str]) -> int:
     if args.episodes < 1:
         raise CaterpillarError(f"episodes = {args.episodes} must be at least 1")
     drawn = args.stochastic or args.which == "random"
+    if args.video and drawn:
+        raise CaterpillarError("a film is of the likeliest actions: leave out --video, or drawn actions")
     if args.episodes > 1 and not drawn:
         raise CaterpillarError(
             "episodes of the likeliest actions are all alike; add --stochastic to draw them"
@@ -173,7 +175,8 @@ def eval_command(argv: Sequence[str]) -> int:
             low, middle, high = 1000 * np.quantile(fitness, [0.25, 0.5, 0.75])
             print(f"median {middle:.1f} mm, quartiles {low:.1f} to {high:.1f}, failures counted as 0")
     if args.video:
-        film(robot, args.folder / "eval.mp4", cli.console())
+        first = replace(robot, physics=_settings(robot.physics, args)[0])
+        film(first, args.folder / "eval.mp4", cli.console(), args.timestep)
     return 0
 
 

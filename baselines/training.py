@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import time
 from collections.abc import Callable
 from importlib.metadata import version
@@ -22,6 +23,8 @@ from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.task import EPISODE_S
 from evolution.individual import label
 from evolution.journal import fingerprint
+
+_LEAST_ROLLOUTS = 5  #: that bodies are to evolve in
 
 
 class TrainResult(NamedTuple):
@@ -64,41 +67,35 @@ def train(
     Raises:
         TrainingError: the folder is not empty or cannot be written, or tensorboard is not installed.
     """
-    _prepare(folder)
     learning = hyperparameters(config)
-    record = Record(config, learning.plain(), _versions(), finished=False, wall_s=None, simulated_s=0.0)
-    record.save(folder)
     began = time.perf_counter()
     robots = CaterpillarVecEnv(
         config.env_id, learning.n_envs, threads=threads, morphology=config.morphology,
         **settings(config, randomization=config.randomize),
     )  # fmt: skip
-    # What a step of all robots, one evaluation now and one at the end may take.
-    reserve_s = robots.num_envs * robots.step_s + 2 * EPISODE_S
-    if reserve_s > config.budget_s:
-        raise TrainingError(
-            f"budget_s = {config.budget_s:g} is too little: a step of all {robots.num_envs} robots and "
-            f"two evaluations take {reserve_s:g}"
-        )
+    reserve_s = _check_budget(config, robots)
+    _prepare(folder)
+    record = Record(config, learning.plain(), _versions(), finished=False, wall_s=None, simulated_s=0.0)
+    record.save(folder)
     env: Any = VecMonitor(robots)
     if learning.normalize is not None:
         env = VecNormalize(env, **learning.normalize)
-    before = torch.get_num_threads()
+    normalizer = env if learning.normalize is not None else None
+    keeper = _Keeper(config, folder, robots, normalizer, reserve_s, on_point, on_progress)
+    callbacks: list[BaseCallback] = [*learning.callbacks, keeper]
+    if config.design != "fixed":
+        keeper.designs = CoDesign(config, robots, lambda: keeper.spent_s / config.budget_s)
+        callbacks.insert(0, keeper.designs)
+    before, finished = torch.get_num_threads(), True
     torch.set_num_threads(1)
     try:
         model = ALGORITHMS[config.algorithm](
             env=env, seed=config.seed, device="cpu", verbose=0,
             tensorboard_log=str(folder / TENSORBOARD) if tensorboard else None, **learning.model,
         )  # fmt: skip
-    except ImportError as error:
-        raise TrainingError(f"{error}: pip install 'caterpillar-sma[tensorboard]'") from None
-    keeper = _Keeper(config, folder, robots, env if learning.normalize else None, on_point, on_progress)
-    callbacks: list[BaseCallback] = [*learning.callbacks, keeper]
-    if config.design != "fixed":
-        keeper.designs = CoDesign(config, robots, lambda: keeper.spent_s / config.budget_s)
-        callbacks.insert(0, keeper.designs)
-    finished = True
-    try:
+        # Neighbouring seeds would else share the conditions of all rows but one.
+        seeds = np.random.SeedSequence(config.seed).generate_state(robots.num_envs)
+        robots.seed_rows(seeds.tolist())
         # The budget ends it: where robots fail, steps are shorter than they could be.
         while True:
             steps = max(int((config.budget_s - keeper.spent_s) / robots.step_s), 1)
@@ -107,12 +104,36 @@ def train(
         keeper.evaluate()
     except KeyboardInterrupt:
         finished = False
+    except ImportError as error:
+        shutil.rmtree(folder)  # nothing but its description
+        raise TrainingError(f"{error}: pip install 'caterpillar-sma[tensorboard]'") from None
     finally:
         torch.set_num_threads(before)
         env.close()
     wall_s = time.perf_counter() - began
     record._replace(finished=finished, wall_s=wall_s, simulated_s=keeper.spent_s).save(folder)
     return TrainResult(keeper.points, keeper.best, finished)
+
+
+def _check_budget(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
+    """What a step of all robots, one evaluation now and one at the end may take, s.
+
+    Raises:
+        TrainingError: the budget is less, or does not let bodies evolve.
+    """
+    reserve_s = robots.num_envs * robots.step_s + 2 * EPISODE_S
+    if reserve_s > config.budget_s:
+        raise TrainingError(
+            f"budget_s = {config.budget_s:g} is too little: a step of all {robots.num_envs} robots and "
+            f"two evaluations take {reserve_s:g}"
+        )
+    least_s = _LEAST_ROLLOUTS * robots.num_envs * EPISODE_S
+    if config.design != "fixed" and config.budget_s < least_s:
+        raise TrainingError(
+            f"budget_s = {config.budget_s:g} is too little for bodies to evolve: {_LEAST_ROLLOUTS} "
+            f"episodes of {robots.num_envs} robots take {least_s:g}"
+        )
+    return reserve_s
 
 
 def _prepare(folder: Path) -> None:
@@ -143,6 +164,7 @@ class _Keeper(BaseCallback):
         folder: Path,
         robots: CaterpillarVecEnv,
         normalizer: VecNormalize | None,
+        reserve_s: float,
         on_point: Callable[[Point], None] | None,
         on_progress: Callable[[float], None] | None,
     ) -> None:
@@ -155,7 +177,7 @@ class _Keeper(BaseCallback):
         self.points: list[Point] = []
         self.best: Point | None = None
         self._kept: tuple[bool, float] = (False, -np.inf)
-        self._reserve_s = robots.num_envs * robots.step_s + 2 * EPISODE_S
+        self._reserve_s = reserve_s
 
     @property
     def spent_s(self) -> float:
@@ -181,26 +203,29 @@ class _Keeper(BaseCallback):
             label(end.failure[0]), body,
         )  # fmt: skip
         self.points.append(point)
-        append(self._folder, point)
+        # A policy whose robot falls is never better than one whose robot does not.
+        score, kept = (point.failure == "ok", point.distance_m), ["last"]
+        if score > self._kept:
+            self._kept, self.best = score, point if score[0] else None
+            kept.append("best")
+        self._keep(point, kept)
         for name in ("distance_m", "energy_j", "time_s"):
             self.logger.record(f"evaluation/{name}", getattr(point, name))
         self.logger.record("time/simulated_s", point.simulated_s)
-        self._save("last")
-        # A policy whose robot falls is never better than one whose robot does not.
-        score = (point.failure == "ok", point.distance_m)
-        if score > self._kept:
-            self._kept = score
-            self.best = point if score[0] else None
-            self._save("best")
         if self._told is not None:
             self._told(point)
 
-    def _save(self, name: str) -> None:
-        partial = self._folder / ".partial.zip"
-        # TensorBoard's folder and the callbacks' state are no part of a policy.
-        self.model.save(partial, exclude=["tensorboard_log"])
-        if self._normalizer is not None:
-            statistics = self._folder / ".partial.pkl"
-            self._normalizer.save(str(statistics))
-            os.replace(statistics, self._folder / f"{name}_vecnormalize.pkl")
-        os.replace(partial, self._folder / f"{name}.zip")
+    def _keep(self, point: Point, names: list[str]) -> None:
+        """Write the policy under these names, and the table's row: all but at once."""
+        whole: dict[Path, Path] = {}
+        for name in names:
+            partial = self._folder / f".{name}.partial.zip"
+            self.model.save(partial, exclude=["tensorboard_log"])
+            whole[partial] = self._folder / f"{name}.zip"
+            if self._normalizer is not None:
+                statistics = self._folder / f".{name}.partial.pkl"
+                self._normalizer.save(str(statistics))
+                whole[statistics] = self._folder / f"{name}_vecnormalize.pkl"
+        append(self._folder, point)
+        for partial, path in whole.items():
+            os.replace(partial, path)

@@ -57,6 +57,10 @@ class CaterpillarVecEnv(VecEnv):
         """Simulated seconds that all rows have been stepped for, since the environment was made."""
         return float(self._env.unwrapped.simulated_s)
 
+    def seed_rows(self, seeds: Sequence[int]) -> None:
+        """Seed each row's next reset; `seed` counts on from one number."""
+        self._seeds = list(seeds)
+
     def reset(self) -> VecEnvObs:
         """Start all rows anew, with the seeds and options that were set."""
         seeds = self._seeds if any(seed is not None for seed in self._seeds) else None

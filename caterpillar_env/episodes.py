@@ -167,7 +167,7 @@ class Episodes:
 
         forward_weight, ctrl_weight, failure_cost = self._weights
         moved = after.distance_m - before.distance_m
-        moved[~np.isfinite(after.distance_m)] = 0.0
+        moved[after.failure == Failure.DIVERGED] = 0.0  # wherever it is: that says nothing of it
         new_failure = (after.failure != Failure.NONE) & (before.failure == Failure.NONE)
         forward = forward_weight * moved
         ctrl = -ctrl_weight * (after.energy_j - before.energy_j)

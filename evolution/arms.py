@@ -33,6 +33,13 @@ class ArmError(CaterpillarError):
     """An arm is not described as it must be, or its run has other settings."""
 
 
+#: What every arm tells of an evaluation; genes may follow.
+COLUMNS = polars.Schema({
+    "evaluation": polars.Int64, "generation": polars.Int64, "failure": polars.String,
+    "distance_m": polars.Float64, "energy_j": polars.Float64, "simulated_s": polars.Float64,
+})  # fmt: skip
+
+
 class Standing(NamedTuple):
     """How far a run is."""
 
@@ -71,7 +78,7 @@ class Arm(Protocol):
         ...
 
     def evaluations(self, folder: Path) -> polars.DataFrame:
-        """A finished run: evaluation, generation, failure, distance_m, energy_j, simulated_s, genes."""
+        """A finished run: `COLUMNS` in their order, and genes."""
         ...
 
     def wall_s(self, folder: Path) -> float | None:
@@ -105,8 +112,10 @@ def make(data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm:
     try:
         kind: type[Arm] = known[name].load()
     except ImportError as error:
+        package = dist.name if (dist := known[name].dist) else "its package"
         raise ArmError(
-            f"kind {name!r} cannot be used: {error}; pip install 'caterpillar-sma[{name}]'"
+            f"kind {name!r} of {package} cannot be used: {error}; install what {package} needs for it "
+            "(for 'rl': pip install 'caterpillar-sma[rl]')"
         ) from None
     return kind.from_dict(_merged(kind.shared(base), special))
 

@@ -182,13 +182,13 @@ def picture(folder: Path, console: Console, *, video: bool) -> Path:
     return run_report.write(folder)
 
 
-def film(robot: Robot, path: Path, console: Console) -> None:
+def film(robot: Robot, path: Path, console: Console, timestep_s: float | None = None) -> None:
     """Write a video; a machine that cannot draw costs only the video."""
     from evolution.video import Recording, write_video
 
     console.print(f"writing {path} ...")
     try:
-        write_video([Recording(robot)], path)
+        write_video([Recording(robot, timestep_s=timestep_s)], path)
     except CaterpillarError as error:
         console.print(f"no video: {error}")
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import EPISODE_S
 from evolution import arms as kinds
-from evolution.arms import Arm
+from evolution.arms import COLUMNS, Arm
 from evolution.individual import write_json
 
 Array = NDArray[np.float64]
@@ -246,7 +246,7 @@ def collect(config: StudyConfig, folder: Path) -> tuple[polars.DataFrame, list[C
             continue
         new = True
         arm, run = config.arms[cell.arm], cell.folder(folder)
-        rows = arm.evaluations(run)
+        rows = arm.evaluations(run).cast(COLUMNS)
         outcome = rows.columns[: rows.columns.index("simulated_s") + 1]
         genes = [polars.col(name).cast(polars.Float32) for name in rows.columns[len(outcome) :]]
         who = (polars.lit(cell.arm).alias("arm"), polars.lit(cell.seed, polars.Int64).alias("seed"))
@@ -265,8 +265,14 @@ def versions(config: StudyConfig, folder: Path) -> list[dict[str, str]]:
     found: list[dict[str, str]] = []
     for cell in config.cells():
         if is_finished(config, cell, folder):
-            sessions = config.arms[cell.arm].versions(cell.folder(folder))
-            found += [one for one in sessions if one not in found]
+            for session in config.arms[cell.arm].versions(cell.folder(folder)):
+                # Kinds of arms tell of different packages: only what both tell of can differ.
+                for one in found:
+                    if all(one.get(name, version) == version for name, version in session.items()):
+                        one.update(session)
+                        break
+                else:
+                    found.append(dict(session))
     return found
 
 

@@ -75,8 +75,35 @@ def test_report_tells_of_both(finished):
     assert "Reinforcement learning, ppo timing (ppo)" in page
     assert (finished / "figures" / "best-so-far.png").exists()
     known = json.loads((finished / "winners" / "winners.json").read_text())
-    best = study.load(finished).arms["ppo"].best(Cell("ppo", 0).folder(finished), 300)
-    assert ("ppo" in known) == (best is not None)
+    able = [
+        p.distance_m for p in evaluations(Cell("ppo", 0).folder(finished))
+        if p.failure == "ok" and p.distance_m > 0
+    ]  # fmt: skip
+    assert ("ppo" in known) == bool(able)
+    assert not able or known["ppo"]["recorded_m"] == max(able)
+    assert len(study.versions(study.load(finished), finished)) == 1
+
+
+def test_robots_that_fail_are_nobodys_best(finished, tmp_path):
+    config, run = study.load(finished), tmp_path / "cell"
+    shutil.copytree(Cell("ppo", 0).folder(finished), run)
+    table = polars.read_csv(run / "evaluations.csv")
+    table.with_columns(failure=polars.lit("tipped"), distance_m=0.5).write_csv(run / "evaluations.csv")
+    assert config.arms["ppo"].best(run, 300) is None
+
+
+def test_record_that_cannot_be_read_is_not_taken_for_none(finished, tmp_path):
+    arm, run = study.load(finished).arms["ppo"], tmp_path / "cell"
+    shutil.copytree(Cell("ppo", 0).folder(finished), run)
+    (run / RECORD).write_text("{}")
+    with pytest.raises(ArmError, match="cannot be read"):
+        arm.run(run, 0, 300)
+    assert (run / "best.zip").exists() or (run / "last.zip").exists()
+
+
+def test_gait_period_that_policies_do_not_have_is_refused():
+    with pytest.raises(ArmError, match=r"policies have one of 5 s"):
+        TrainArm.shared({"gait_period_s": 4.0})
 
 
 def test_best_robot_is_looked_at_again(finished, tmp_path):

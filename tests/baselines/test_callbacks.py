@@ -14,7 +14,6 @@ SMALL = {"physics": {"num_segments": 2, "timestep_s": 0.01}}
 def started(kind, env_id, policy, **settings):
     env = CaterpillarVecEnv(env_id, 1, threads=1, **SMALL)
     model = kind(policy, env, seed=0, device="cpu", **settings)
-    InitialDuty(0.2).init_callback(model)
     callback = InitialDuty(0.2)
     callback.init_callback(model)
     callback.on_training_start({}, {})

@@ -4,7 +4,7 @@ import pytest
 
 from baselines import comparison
 from baselines.config import TrainConfig, TrainingError
-from baselines.records import Point, Record, append
+from baselines.records import Point, Record, append, evaluations
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import Morphology
 
@@ -64,6 +64,13 @@ def test_curves_are_drawn(folders, tmp_path):
     assert (tmp_path / "x.png").stat().st_size > 10_000
     with pytest.raises(CaterpillarError, match="choose another file with --out"):
         comparison.draw({}, tmp_path / "nowhere" / "x.png")
+
+
+def test_row_that_is_being_written_is_left_out(tmp_path):
+    folder = kept(tmp_path / "a", [(0.01, "ok"), (0.02, "ok")])
+    text = (folder / "evaluations.csv").read_text()
+    (folder / "evaluations.csv").write_text(text[:-40])
+    assert [p.distance_m for p in evaluations(folder)] == [0.01]
 
 
 def test_training_without_evaluations_has_no_row(tmp_path):

@@ -24,6 +24,11 @@ from caterpillar_env.morphology import Morphology
         ({"seed": -1}, "seed = -1"),
         ({"seed": 2**32}, "seed = 4294967296"),
         ({"open_loop": True}, "needs mode timing"),
+        (
+            {"design": "uniform", "morphology": Morphology(leg_separation_m=0.02)},
+            "evolves the body: none can be given as well",
+        ),
+        ({"randomize": {"ambient_c": (20, 90)}}, "must end below 56 degC"),
         ({"design": "uniform", "algorithm": "a2c"}, "around ppo's closed-loop policy only"),
         ({"randomize": {"luck": (0, 1)}}, "randomization takes a mapping with fields among friction"),
         ({"randomize": {"mass": (2, 1)}}, "randomization of mass must be two numbers in order"),
@@ -71,6 +76,10 @@ def test_an_open_loop_is_a_step_an_episode_and_learns_from_as_many_episodes():
     assert bandit.env_kwargs == {"frame_skip": 6}
     assert bandit.model["n_steps"] * 6 == closed.model["n_steps"]
     assert bandit.model["policy_kwargs"] == closed.model["policy_kwargs"]
+    # What follows a step that is the whole episode must not be guessed at.
+    assert bandit.model["gamma"] == bandit.normalize["gamma"] == 0
+    sac = hyperparameters(TrainConfig("sac", "timing", open_loop=True)).model["learning_starts"]
+    assert sac == hyperparameters(TrainConfig("sac", "timing")).model["learning_starts"] // 6
 
 
 def test_schedules_and_normalisation_are_rl_zoos(tmp_path, monkeypatch):

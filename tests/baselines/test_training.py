@@ -177,6 +177,30 @@ def test_budget_that_is_too_small_for_the_robots_is_refused(tmp_path):
         train(config(budget_s=40.0), tmp_path / "run")
 
 
+def test_budget_in_which_bodies_cannot_evolve_is_refused(tmp_path):
+    with pytest.raises(TrainingError, match="too little for bodies to evolve"):
+        train(config(mode="timing", design="uniform", budget_s=1000.0), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_conditions_of_neighbouring_seeds_have_nothing_in_common(tmp_path):
+    frictions = []
+    with pytest.MonkeyPatch.context() as patch:
+        reset = training.CaterpillarVecEnv.reset
+
+        def watched(self):
+            seen = reset(self)
+            models = self.get_attr("_episodes")[0].crawl.simulation._models
+            frictions.append([model.geom_friction[-1, 0] for model in models])
+            return seen
+
+        patch.setattr(training.CaterpillarVecEnv, "reset", watched)
+        for seed in (0, 1):
+            asked = config(budget_s=150.0, seed=seed, randomize={"friction": (0.2, 1.0)})
+            train(asked, tmp_path / str(seed))
+    assert not set(frictions[0]) & set(frictions[1])
+
+
 def test_folder_that_cannot_be_written_is_told(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(TrainingError, match="cannot write the folder"):
