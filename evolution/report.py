@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import polars
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -32,7 +33,7 @@ def courses(analysis: Analysis) -> Figure:
     axis = figure.subplots()
     grid = analysis.grid_s
     for number, (arm, found) in enumerate(analysis.courses.items()):
-        colour = f"C{number}"
+        colour = _colour(number, len(analysis.courses))
         steps = np.array([_at(c.spent_s, c.best_m, grid) for c in found])
         for row in steps:
             axis.plot(grid / _KILO, 1000 * row, color=colour, alpha=0.25, linewidth=0.7)
@@ -71,9 +72,20 @@ def survival(analysis: Analysis) -> Figure | None:
             def ends(values: Any) -> Any:
                 return np.concatenate([[1.0], values, values[-1:]])
 
-            axis.step(times, ends(curve.share), where="post", color=f"C{number}", label=arm)
+            axis.step(
+                times,
+                ends(curve.share),
+                where="post",
+                color=_colour(number, len(analysis.courses)),
+                label=arm,
+            )
             axis.fill_between(
-                times, ends(curve.low), ends(curve.high), step="post", color=f"C{number}", alpha=0.08
+                times,
+                ends(curve.low),
+                ends(curve.high),
+                step="post",
+                color=_colour(number, len(analysis.courses)),
+                alpha=0.08,
             )
         axis.set(
             title=f"{1000 * threshold:.0f} mm", xlabel="simulated time (1000 s)", ylim=(-0.02, 1.02)
@@ -89,7 +101,9 @@ def targets(analysis: Analysis) -> Figure:
     figure = Figure(figsize=(9, 4.4), layout="constrained")
     axis = figure.subplots()
     for number, (arm, share) in enumerate(analysis.ecdf.items()):
-        axis.plot(analysis.grid_s / _KILO, share, color=f"C{number}", label=arm)
+        axis.plot(
+            analysis.grid_s / _KILO, share, color=_colour(number, len(analysis.courses)), label=arm
+        )
     axis.set(
         xlabel="simulated time (1000 s)", ylabel="share of (run, target) pairs reached", xlim=(0, None),
         ylim=(0, 1),
@@ -156,7 +170,7 @@ def gene_courses(analysis: Analysis, frame: polars.DataFrame) -> Figure | None:
                 )
                 .sort("generation")
             )
-            colour = f"C{list(analysis.courses).index(arm)}"
+            colour = _colour(list(analysis.courses).index(arm), len(analysis.courses))
             axis.plot(over["generation"], over["middle"], color=colour, label=arm)
             axis.fill_between(over["generation"], over["low"], over["high"], color=colour, alpha=0.1)
         if peak is not None:
@@ -175,9 +189,16 @@ def _peaks(config: RunConfig) -> list[float | None]:
     return [None if (mu := row.to_dict()["mu"]) is None else float(mu) for row in rows]
 
 
+def _colour(number: int, arms: int) -> Any:
+    """One for each arm: the usual ten, or twice as many where that is not enough."""
+    return colormaps["tab10" if arms <= 10 else "tab20"](number % 20)
+
+
 def _legend(axis: Axes) -> None:
     axis.grid(alpha=0.3)
-    axis.legend(fontsize="small")
+    crowded = len(axis.get_legend_handles_labels()[1]) > 8
+    beside = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if crowded else {}
+    axis.legend(fontsize="small", **beside)
 
 
 def write(analysis: Analysis, frame: polars.DataFrame, winners: Sequence[Winner], folder: Path) -> Path:
