@@ -197,7 +197,7 @@ def _colour(number: int, arms: int) -> Any:
 def _legend(axis: Axes) -> None:
     axis.grid(alpha=0.3)
     crowded = len(axis.get_legend_handles_labels()[1]) > 8
-    beside = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if crowded else {}
+    beside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if crowded else {}
     axis.legend(fontsize="small", **beside)
 
 
