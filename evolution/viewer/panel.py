@@ -10,6 +10,8 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 from viser import GuiApi, GuiSliderHandle, GuiUplotHandle, uplot
 
+from caterpillar_env.overlay import spring_rgb
+from caterpillar_env.sma import SmaSpring
 from caterpillar_env.task import EPISODE_S, Failure
 from evolution.individual import Individual
 from evolution.viewer.fields import Field, fields_of
@@ -54,7 +56,7 @@ class Panel:
             with gui.add_folder(folder or None, expand_by_default=not folder.startswith("segment")):
                 for field in fields:
                     self._add_slider(field, individual, on_edit)
-        self._add_plots(individual.timed)
+        self._add_plots(individual.timed, individual.physics.spring)
 
     @property
     def speed(self) -> float:
@@ -101,13 +103,13 @@ class Panel:
         slider.on_update(lambda _: on_edit(lambda robot: field.write(robot, slider.value)))
         self._sliders.append((field, slider))
 
-    def _add_plots(self, timed: list[str]) -> None:
+    def _add_plots(self, timed: list[str], spring: SmaSpring) -> None:
         panel = self._gui.add_panel()
         panel.dock_left()
         panel.set_width(310)
         with panel.add_tab("Plots"):
             colours = _colours(timed)
-            self._gui.add_html(_legend(colours))
+            self._gui.add_html(_legend(colours, spring))
             lines = [_line(name, colours[name.split("_")[0]]) for name in timed]
             self._temperature = self._plot("temperature, degC", lines)
             self._fraction = self._plot("austenite fraction", lines, (-0.05, 1.05))
@@ -151,8 +153,14 @@ def _line(name: str, colour: str) -> uplot.Series:
     return line
 
 
-def _legend(colours: dict[str, str]) -> str:
+def _legend(colours: dict[str, str], spring: SmaSpring) -> str:
+    """What the lines of the plots are, and the springs' colours in the picture."""
     marks = " ".join(f'<b style="color: {colour}">{gap}</b>' for gap, colour in colours.items())
+    points_c = np.array([spring.ambient_c, spring.austenite_start_c, spring.cut_off_c])
+    bar = ", ".join(to_hex(rgb) for rgb in spring_rgb(spring, points_c))
     return (
-        f'<p style="margin: 0.5em 1em; font-size: 0.85em">{marks}, ventral springs dashed; time in s</p>'
+        f'<p style="margin: 0.5em 1em; font-size: 0.85em">{marks}, ventral springs dashed; time in s<br>'
+        f"springs {points_c[0]:.0f} "
+        f'<span style="display: inline-block; width: 8em; height: 0.7em; '
+        f'background: linear-gradient(90deg, {bar})"></span> {points_c[-1]:.0f} degC</p>'
     )

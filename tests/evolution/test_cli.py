@@ -215,7 +215,10 @@ def test_process_ends_with_the_status_and_one_line(tmp_path):
     out, err = process.communicate(timeout=120)
     assert process.returncode == 1
     assert out == ""
-    assert err == "caterpillar replay: error: cannot read nothing.json: No such file or directory\n"
+    assert err == (
+        "caterpillar replay: error: cannot read nothing.json: No such file or directory; give a run "
+        "folder or the JSON file of one robot\n"
+    )
 
 
 def test_interrupted_run_keeps_its_generations_and_says_so(tmp_path):

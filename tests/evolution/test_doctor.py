@@ -97,7 +97,11 @@ def test_drawing_that_works_names_what_drew(trials, monkeypatch):
 
 @pytest.mark.parametrize(
     ("works", "mend"),
-    [(None, "unset MUJOCO_GL"), ("osmesa", "export MUJOCO_GL=osmesa"), ("none", "apt install libegl1")],
+    [
+        (None, "unset MUJOCO_GL"),
+        ("osmesa", "export MUJOCO_GL=osmesa"),
+        ("none", "install EGL (Debian: apt install libegl1"),
+    ],
 )
 def test_drawing_that_does_not_work_is_mended_by_what_does(trials, monkeypatch, works, mend):
     monkeypatch.setenv("MUJOCO_GL", "egl")
