@@ -13,7 +13,6 @@ from evolution.individual import Individual
 
 Array = NDArray[np.float64]
 
-_CLEARER = 0.5  # the shells, so that the springs are seen within them
 _GROUND_M = 4.0  # side of the ground; nothing crawls 2 m in 30 s
 
 
@@ -85,7 +84,7 @@ class RobotScene:
         size = model.geom_size[geom].tolist()
         name = f"/world/robot/{model.body(model.geom_bodyid[geom]).name}/geom{geom}"
         placed = {
-            "color": tuple(colour), "opacity": _CLEARER * opacity if opacity < 1 else None,
+            "color": tuple(colour), "opacity": opacity if opacity < 1 else None,
             "position": model.geom_pos[geom], "wxyz": model.geom_quat[geom],
         }  # fmt: skip
         if shape == mujoco.mjtGeom.mjGEOM_SPHERE:
