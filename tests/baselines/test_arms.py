@@ -46,7 +46,7 @@ def finished(tmp_path_factory):
     (home / "mixed.toml").write_text(TOML)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(home)
-        assert cli.main(["study", "mixed.toml"]) == 0
+        assert cli.main(["study", "mixed.toml", "--no-winners"]) == 0
     return home / "studies" / "mixed"
 
 
@@ -74,13 +74,6 @@ def test_report_tells_of_both(finished):
     page = (finished / "report.html").read_text()
     assert "Reinforcement learning, ppo timing (ppo)" in page
     assert (finished / "figures" / "best-so-far.png").exists()
-    known = json.loads((finished / "winners" / "winners.json").read_text())
-    able = [
-        p.distance_m for p in evaluations(Cell("ppo", 0).folder(finished))
-        if p.failure == "ok" and p.distance_m > 0
-    ]  # fmt: skip
-    assert ("ppo" in known) == bool(able)
-    assert not able or known["ppo"]["recorded_m"] == max(able)
     assert len(study.versions(study.load(finished), finished)) == 1
 
 
