@@ -13,7 +13,7 @@ import polars
 from baselines.comparison import title
 from baselines.config import TrainConfig, TrainingError, hyperparameters
 from baselines.policy import TrainedRobot
-from baselines.records import RECORD, Record, evaluations
+from baselines.records import RECORD, Record, best_of, evaluations
 from baselines.training import train
 from caterpillar_env.gait import GAIT_PERIOD_S
 from evolution.arms import ArmError, Standing
@@ -86,8 +86,9 @@ class TrainArm:
     def standing(self, folder: Path) -> Standing:
         """See `evolution.arms.Arm`."""
         points = evaluations(folder)
-        best = max((p.distance_m for p in points if p.failure == "ok"), default=0.0)
-        return Standing(points[-1].simulated_s if points else 0.0, max(best, 0.0))
+        top = best_of(points)
+        best_m = 0.0 if top is None else max(top.distance_m, 0.0)
+        return Standing(points[-1].simulated_s if points else 0.0, best_m)
 
     def evaluations(self, folder: Path) -> polars.DataFrame:
         """See `evolution.arms.Arm`; genes are those of the body alone."""
@@ -118,5 +119,5 @@ class TrainArm:
 
     def best(self, folder: Path, budget_s: float) -> TrainedRobot | None:
         """See `evolution.arms.Arm`."""
-        able = any(p.failure == "ok" and p.distance_m > 0 for p in evaluations(folder))
-        return TrainedRobot.load(folder) if able else None
+        top = best_of(evaluations(folder))
+        return None if top is None or top.distance_m <= 0 else TrainedRobot.load(folder)

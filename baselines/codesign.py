@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from baselines.config import POPULATION, TrainConfig, TrainingError
 from baselines.vec_env import CaterpillarVecEnv
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.morphology import NAMES, Morphology
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.run import RunConfig
 
@@ -45,7 +45,7 @@ class CoDesign(BaseCallback):
             prior="preprocessed" if config.design == "preprocessed" else "uniform",
             physics=config.physics,
         )
-        genes = len(Morphology().to_dict())
+        genes = len(NAMES)
         self._strategy = CmaEs(
             prior.distributions()[:genes],
             CmaConfig(cma_population=POPULATION, cma_restarts=False),
@@ -55,7 +55,6 @@ class CoDesign(BaseCallback):
         self._genomes = np.empty((0, genes))
         self._first: list[float | None] = []
         self._frozen = False
-        self.generations = 0  #: that CMA-ES was told
 
     @property
     def favourite(self) -> Morphology:
@@ -100,4 +99,3 @@ class CoDesign(BaseCallback):
         crawled = np.maximum(np.array(self._first, dtype=float), 0.0)
         self._strategy.tell(self._genomes, crawled.reshape(POPULATION, -1).mean(axis=1))
         self._first = []
-        self.generations += 1

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from baselines.config import TrainConfig, TrainingError
-from baselines.records import Record, evaluations
+from baselines.records import Record, best_of, evaluations
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import Morphology
 
@@ -71,7 +71,8 @@ def summary(name: str, folders: Sequence[Path]) -> Summary:
         points = evaluations(folder)
         if not points:
             raise TrainingError(f"{folder} holds no evaluation yet")
-        best.append(max((p.distance_m for p in points if p.failure == "ok"), default=0.0))
+        top = best_of(points)
+        best.append(0.0 if top is None else top.distance_m)
         first.append(points[0].distance_m if points[0].failure == "ok" else 0.0)
         spent.append(points[-1].simulated_s)
     return Summary(

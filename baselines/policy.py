@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,14 +17,14 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
 from baselines.config import TrainConfig, TrainingError, hyperparameters
-from baselines.records import Record, evaluations
+from baselines.records import Record, best_of, evaluations
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.episodes import Episodes
 from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.simulation import Trace
 from evolution.fitness import Outcomes
-from evolution.individual import write_json
+from evolution.individual import digest_of, write_json
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "ppo": PPO, "a2c": A2C, "sac": SAC, "tqc": TQC, "ars": ARS,
@@ -92,9 +90,7 @@ class Policy:
             action, _ = self.actor.predict(seen, deterministic=deterministic)
             step = robot.step(robot.checked(action, 1), row, on_interval, trace=trace)
             seen, ended = step.observation, bool(step.terminated[0] or step.truncated[0])
-        final = robot.crawl.progress(row)
-        distance_m = np.where(np.isfinite(final.distance_m), final.distance_m, 0.0)
-        return Outcomes(final.failure, distance_m, final.energy_j, final.time_s)
+        return Outcomes.of(robot.crawl.progress(row))
 
 
 def load(folder: Path, which: Which = "best") -> Policy:
@@ -139,8 +135,8 @@ class TrainedRobot:
         rows = evaluations(folder)
         if not rows:
             raise TrainingError(f"{folder} holds no policy that was evaluated")
-        able = [row for row in rows if row.failure == "ok"] or rows
-        row = rows[-1] if which == "last" else max(able, key=lambda row: row.distance_m)
+        farthest = best_of(rows) or max(rows, key=lambda row: row.distance_m)
+        row = rows[-1] if which == "last" else farthest
         return cls(load(folder, which), config, row.morphology, config.physics, row.distance_m)
 
     def simulate(
@@ -170,7 +166,7 @@ class TrainedRobot:
     @property
     def digest(self) -> str:
         """Tells it from any other robot: of what `to_dict` says, and how far it got with its policy."""
-        return hashlib.blake2b(json.dumps(self.to_dict()).encode(), digest_size=16).hexdigest()
+        return digest_of(self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON, without the policy itself."""

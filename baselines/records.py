@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,6 +64,12 @@ def evaluations(folder: Path) -> list[Point]:
             )
         )
     return points
+
+
+def best_of(points: Sequence[Point]) -> Point | None:
+    """The evaluation whose robot got farthest without failing, if there is one."""
+    able = [point for point in points if point.failure == "ok"]
+    return max(able, key=lambda point: point.distance_m, default=None)
 
 
 class Record(NamedTuple):

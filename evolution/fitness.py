@@ -12,7 +12,7 @@ from caterpillar_env.gait import GaitTimings, whole
 from caterpillar_env.model import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.morphology import Body
 from caterpillar_env.simulation import Trace
-from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure
+from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress
 from evolution.genome import GenomeKind, decode
 
 Array = NDArray[np.float64]
@@ -26,6 +26,13 @@ class Outcomes(NamedTuple):
     distance_m: Array  #: until the end or the failure, finite, (P,)
     energy_j: Array  #: electrical, (P,)
     simulated_s: Array  #: really stepped, (P,)
+
+    @classmethod
+    def of(cls, end: Progress) -> Outcomes:
+        """What became of robots that have come to their end."""
+        # Of a robot that went nowhere finite no distance can be told; its status says why.
+        distance_m = np.where(np.isfinite(end.distance_m), end.distance_m, 0.0)
+        return cls(end.failure, distance_m, end.energy_j, end.time_s)
 
     def fitness(self, failed_fitness: float = 0.0) -> Array:
         """Distance in m, not below 0; `failed_fitness` for a failure, (P,)."""
@@ -82,7 +89,4 @@ def simulate(
         part = power[:, phase : phase + min(_CHUNK_STEPS, steps - first)]
         crawl.run(part, on_interval=on_interval, trace=trace)
         first += part.shape[1]
-    done = crawl.progress()
-    # Of a robot that went nowhere finite no distance can be told; its status says why.
-    distance_m = np.where(np.isfinite(done.distance_m), done.distance_m, 0.0)
-    return Outcomes(done.failure, distance_m, done.energy_j, done.time_s)
+    return Outcomes.of(crawl.progress())

@@ -116,7 +116,7 @@ class Individual:
     @property
     def digest(self) -> str:
         """What tells this robot, with its record, from any other."""
-        return hashlib.blake2b(json.dumps(self.to_dict()).encode(), digest_size=16).hexdigest()
+        return digest_of(self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON; every number carries its unit in its name."""
@@ -198,6 +198,11 @@ class Individual:
             return cls.from_dict(data)
         except CaterpillarError as error:
             raise IndividualError(f"{file}: {error}") from None
+
+
+def digest_of(data: dict[str, Any]) -> str:
+    """Tells a robot, as plain JSON, from any other."""
+    return hashlib.blake2b(json.dumps(data).encode(), digest_size=16).hexdigest()
 
 
 def write_json(path: Path, data: Any) -> None:

@@ -13,6 +13,7 @@ from caterpillar_env.model import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.simulation import Trace
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress
+from evolution.fitness import Outcomes
 from evolution.individual import Individual
 
 Array = NDArray[np.float64]
@@ -142,9 +143,7 @@ class Session:
         """The robot; with its fitness where it has crawled to the end unchanged."""
         if not self.over or self._changed_on_the_way:
             return self.individual
-        failed = self.failure is not Failure.NONE
-        distance_m = float(self.progress.distance_m[0])
-        return replace(self.individual, fitness_m=0.0 if failed else max(distance_m, 0.0))
+        return replace(self.individual, fitness_m=float(Outcomes.of(self.progress).fitness()[0]))
 
     def _keep(self, trace: Trace | None) -> None:
         self._trace = trace
