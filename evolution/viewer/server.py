@@ -7,7 +7,6 @@ import io
 import socket
 import threading
 import warnings
-from types import TracebackType
 
 import numpy as np
 import viser
@@ -69,12 +68,7 @@ class Viewer:
     def __enter__(self) -> Viewer:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
         with self._lock:
