@@ -16,8 +16,8 @@ from stable_baselines3.common.utils import LinearSchedule
 
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import Physics
 from caterpillar_env.randomization import Randomization
 from caterpillar_env.task import EPISODE_S
 

@@ -20,8 +20,8 @@ from baselines.config import TrainConfig, TrainingError, hyperparameters
 from baselines.records import Record, best_of, evaluations
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.episodes import Episodes
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import Physics
 from caterpillar_env.simulation import Trace
 from evolution.fitness import Outcomes
 from evolution.individual import digest_of, write_json

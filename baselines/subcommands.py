@@ -19,12 +19,13 @@ from baselines.policy import AtRandom, Policy, TrainedRobot, judge
 from baselines.records import Point, Record
 from baselines.training import train
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import Physics
+from caterpillar_env.task import label
 from evolution import cli
 from evolution.commands import film, unused
 from evolution.fitness import Outcomes
-from evolution.individual import Individual, label
+from evolution.individual import Individual
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 import caterpillar_env  # noqa: F401  registers the environments
 from benchmarks.harness import report, spread, turns
-from caterpillar_env.model import SMA_STEP_S, Physics
+from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.sma import SmaState, advance
 from evolution.speed import recorded
 

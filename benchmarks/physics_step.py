@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 
 from benchmarks.harness import report, rounds, spread, timed
-from caterpillar_env.model import SMA_STEP_S, Physics
+from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.task import Crawl
 from evolution.speed import EngineCalls, recorded
 from evolution.validation.robots import evolved_robots, together

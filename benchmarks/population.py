@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.harness import report, rounds, spread, timed
 from caterpillar_env.gait import GAIT_PERIOD_S
-from caterpillar_env.model import SMA_STEP_S, Physics
+from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.task import EPISODE_S, Crawl
 from evolution.fitness import evaluate, simulate
 from evolution.genome import genes

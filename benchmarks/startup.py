@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.harness import report, rounds, spread, timed
-from caterpillar_env.model import Physics
+from caterpillar_env.physics import Physics
 from caterpillar_env.task import Crawl
 from evolution.validation.robots import random_robots
 

@@ -5,56 +5,12 @@ Importing this package registers `CaterpillarSMA-v0` (one step is one gait perio
 environment for `gymnasium.make_vec`.
 """
 
-import ctypes
-import os
-import sys
+from importlib import import_module as _import_module
 from typing import Any
 
+from caterpillar_env.drawing import backend as _backend
 
-def _choose_drawing_backend() -> None:
-    """Set MUJOCO_GL, which MuJoCo reads when it is imported: off-screen where there is no display.
-
-    MuJoCo does not import with a backend whose library is missing, and cannot change it afterwards.
-    """
-    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if sys.platform != "linux" or display or "MUJOCO_GL" in os.environ:
-        return
-    egl, osmesa = _library("libEGL.so.1"), _library("libOSMesa.so.8")
-    # To try EGL takes 30 ms: only where there is a choice.
-    if egl and not (osmesa and not _works(egl)):
-        os.environ["MUJOCO_GL"] = "egl"
-    else:
-        os.environ["MUJOCO_GL"] = "osmesa" if osmesa else "disabled"
-
-
-def _library(name: str) -> ctypes.CDLL | None:
-    try:
-        return ctypes.CDLL(name)
-    except OSError:
-        return None
-
-
-def _works(egl: ctypes.CDLL) -> bool:
-    """Whether any device of EGL can be drawn with, as MuJoCo does: without a display."""
-    devices, count = (ctypes.c_void_p * 16)(), ctypes.c_int()
-    pointer = ctypes.c_void_p
-    egl.eglGetProcAddress.restype = pointer
-    egl.eglInitialize.argtypes = [pointer, pointer, pointer]
-    addresses = [
-        egl.eglGetProcAddress(name) for name in (b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT")
-    ]
-    if not all(addresses):
-        return False
-    query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, pointer, pointer)(addresses[0])
-    display = ctypes.CFUNCTYPE(pointer, ctypes.c_uint, pointer, pointer)(addresses[1])
-    if not query(len(devices), ctypes.byref(devices), ctypes.byref(count)):
-        return False
-    on_a_device = 0x313F  # EGL_PLATFORM_DEVICE_EXT
-    found = (display(on_a_device, device, None) for device in devices[: count.value])
-    return any(one and egl.eglInitialize(one, None, None) for one in found)
-
-
-_choose_drawing_backend()
+_backend.choose()
 
 import gymnasium as _gymnasium
 
@@ -95,7 +51,7 @@ _LAZY = {
     "CaterpillarVectorEnv": "vector_env",
     "GaitTimings": "gait",
     "Morphology": "morphology",
-    "Physics": "model",
+    "Physics": "physics",
     "SmaSpring": "sma",
 }
 
@@ -104,6 +60,4 @@ def __getattr__(name: str) -> Any:
     """Import the public classes when they are first asked for, so that registering stays quick."""
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
-
-    return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
+    return getattr(_import_module(f"{__name__}.{_LAZY[name]}"), name)

@@ -10,12 +10,13 @@ import numpy as np
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
+from caterpillar_env.drawing.backend import has_display
+from caterpillar_env.drawing.pictures import Pictures
+from caterpillar_env.drawing.rendering import View, drawn
 from caterpillar_env.episodes import Episodes, check_options
 from caterpillar_env.errors import SimulationError
-from caterpillar_env.model import CONTROL_INTERVAL_S
 from caterpillar_env.morphology import Morphology
-from caterpillar_env.overlay import Readout
-from caterpillar_env.rendering import RobotRenderer, check_picture, drawn, has_display
+from caterpillar_env.physics import CONTROL_INTERVAL_S
 from caterpillar_env.simulation import Trace
 
 _ROW = np.array([0])
@@ -174,11 +175,8 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         self.observation_space = self._episodes.observation_space
         self._morphology = Morphology() if morphology is None else Morphology.of(morphology)
         self.render_mode = render_mode
-        self._size = (width, height)
-        check_picture(width, height, camera_name)
-        self._camera = (camera_name, default_camera_config)
-        self._overlay = overlay
-        self._renderer: RobotRenderer | None = None
+        view = View(width, height, camera_name, default_camera_config)
+        self._pictures = Pictures(self._episodes.crawl, view, overlay=overlay)
         self._frames: list[Any] = []
         self._running = False
         fps = self.metadata["render_fps"]
@@ -208,15 +206,11 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         super().reset(seed=seed)
         chosen = check_options(options, ("morphology",))
         if "morphology" in chosen:
-            morphology = Morphology.of(chosen["morphology"])
-            if morphology != self._morphology:
-                self.close()
-            self._morphology = morphology
+            self._morphology = Morphology.of(chosen["morphology"])
         observation, info = self._episodes.reset(_ROW, [self._morphology], [self.np_random])
         self._running = True
         self._frames = []
-        if self._renderer is not None:
-            self._renderer.forget_path()
+        self._pictures.restart(0)
         self._draw_live()
         return observation[0], _first(info)
 
@@ -251,9 +245,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
 
     def close(self) -> None:
         """Free the window or the drawing context."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
+        self._pictures.close()
 
     def _on_interval(self, trace: Trace | None) -> None:
         self._draw_live()
@@ -268,16 +260,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     def _draw(self, mode: str) -> Any:
         if not self._running:
             raise SimulationError("call reset() before render()")
-        simulation = self._episodes.crawl.simulation
-        renderer = self._renderer
-        if renderer is None:
-            model, data = simulation.drawable(0)
-            spring = self._episodes.physics.spring
-            renderer = RobotRenderer(model, data, spring, *self._size, *self._camera)
-            self._renderer = renderer
-        readout = Readout.of(self._episodes.crawl.progress(_ROW)) if self._overlay else None
-        temperature_c = simulation.state(_ROW).temperature_c[0]
-        return drawn(lambda: renderer.draw(simulation.qpos(0), temperature_c, mode, readout))
+        return drawn(lambda: self._pictures.draw(0, mode))
 
 
 def _first(info: dict[str, NDArray[Any]]) -> dict[str, Any]:

@@ -11,25 +11,18 @@ from numpy.typing import NDArray
 
 from caterpillar_env.errors import MorphologyError, PhysicsError, SimulationError, TimingError
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, whole
-from caterpillar_env.model import CONTROL_INTERVAL_S, SMA_STEP_S, Physics, joint_names
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.model import joint_names
+from caterpillar_env.morphology import NAMES, Morphology
+from caterpillar_env.observation import observation_names, observe
+from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.randomization import Conditions, Randomization
 from caterpillar_env.simulation import Array, BodyState, Rows, Trace
-from caterpillar_env.task import (
-    EPISODE_S,
-    STEPS_PER_INTERVAL,
-    Crawl,
-    Failure,
-    Progress,
-    observation_names,
-    observe,
-)
+from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress, label
 
 #: Bound of every entry of an observation; healthy robots stay around one.
 OBSERVATION_LIMIT = 1000.0
 #: Reset noise of 1 stands for 1 rad in the hinges and this much in the axial joints.
 _AXIAL_NOISE_M_RAD = 0.01
-_LABELS = {int(failure): failure.label for failure in Failure}
 
 
 class Step(NamedTuple):
@@ -100,7 +93,7 @@ class Episodes:
         self._terminate = terminate_on_failure
         self._clock_s = gait_period_s if action_mode == "switch" else None
         self.crawl = Crawl(num_envs, self.physics, threads, stop_on_failure=terminate_on_failure)
-        self._unit = np.zeros((num_envs, 8))
+        self._unit = np.zeros((num_envs, len(NAMES)))
         self._intervals = np.zeros(num_envs, dtype=np.int64)
 
         springs = self.physics.num_springs
@@ -252,7 +245,7 @@ def _info(
         "reward_ctrl": ctrl,
         "energy_j": now.energy_j,
         "time_s": now.time_s,
-        "failure": np.array([_LABELS[f] for f in now.failure], dtype=object),
+        "failure": np.array([label(f) for f in now.failure], dtype=object),
     }
 
 

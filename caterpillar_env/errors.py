@@ -19,7 +19,3 @@ class PhysicsError(CaterpillarError):
 
 class SimulationError(CaterpillarError):
     """A simulation was asked for something that it cannot do (rows, shapes, order of calls)."""
-
-
-#: What mends most of what keeps a machine from drawing.
-INSTALL_DRAWING = "install EGL (Debian: apt install libegl1 libgl1-mesa-dri) or OSMesa (libosmesa6)"

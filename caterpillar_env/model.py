@@ -9,160 +9,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal, TypeVar
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from caterpillar_env.errors import PhysicsError
-from caterpillar_env.gait import SPRINGS_PER_GAP, spring_names, whole
+from caterpillar_env.drawing.scenery import add_cameras, add_scenery
+from caterpillar_env.gait import SPRINGS_PER_GAP, spring_names
 from caterpillar_env.morphology import Body, Morphology, segments_of
-from caterpillar_env.scenery import add_cameras, add_scenery
+from caterpillar_env.physics import Physics
 from caterpillar_env.sma import SmaSpring
-
-T = TypeVar("T")
 
 FOOT_RADIUS_M = 0.002
 ELEMENTS_PER_SEGMENT = 2
-#: Thermal step: the grid on which springs are heated and the fraction handed to the actuators.
-SMA_STEP_S = 0.01
-#: Control interval: how often failures are judged and, in switch mode, the power may change.
-CONTROL_INTERVAL_S = 0.1
-
-_CHOICES: dict[str, dict[str, Any]] = {
-    "integrator": {
-        "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
-        "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
-    },
-    "solver": {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG},
-    "cone": {
-        "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
-        "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
-    },
-    "bend_axis": {"yaw": [0, 0, 1], "pitch": [0, 1, 0]},
+_INTEGRATORS = {
+    "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
 }
-
-
-@dataclass(frozen=True)
-class Physics:
-    """Everything about the robot and its simulation that is not evolved. SI units.
-
-    Sources, plausible ranges and what was tried: docs/physics.md and docs/sources.md.
-
-    Raises:
-        PhysicsError: a value is of the wrong kind or out of range.
-    """
-
-    num_segments: int = 4
-    spring: SmaSpring = field(default_factory=SmaSpring)
-    neck_stiffness_n_m_rad: float = 6e-3  #: silicone neck, Dragon Skin 10
-    neck_damping_n_m_s_rad: float = 2e-4  #: silicone, coil friction, anchors: see docs/physics.md
-    axial_stiffness_n_m: float = 500.0
-    axial_damping_n_s_m: float = 1.0
-    axial_range: float = 0.15  #: travel of the prismatic joint as a share of the segment length
-    bend_ratio: float = 2.0  #: stiffness and damping of the intra-segment hinge over the neck's
-    bend_axis: Literal["yaw", "pitch"] = "yaw"  #: the paper does not say
-    friction: float = 0.8
-    mismatch_std: float = 0.05  #: spread of the springs' strength from one to another
-    mismatch_seed: int = 0  #: which robot of that spread
-    spring_strengths: tuple[float, ...] | None = None  #: measured ones, instead of drawn
-    timestep_s: float = 0.005
-    integrator: Literal["discrete", "implicitfast"] = "discrete"
-    solver: Literal["newton", "cg"] = "newton"
-    cone: Literal["elliptic", "pyramidal"] = "elliptic"
-    impratio: float = 100.0  #: grip: at 30 some robots creep 2 mm in 30 s
-    contact_time_constant_s: float = 0.02  #: MuJoCo's own default
-    solver_tolerance: float = 1e-8
-    solver_iterations: int = 100
-
-    def __post_init__(self) -> None:
-        if isinstance(self.spring, dict):
-            object.__setattr__(self, "spring", _from_dict(SmaSpring, self.spring, "spring"))
-        if not isinstance(self.spring, SmaSpring):
-            raise PhysicsError(
-                f"spring must be an SmaSpring or a mapping of its fields; got {self.spring!r}"
-            )
-        for name, lower, upper in (
-            ("num_segments", 2, 64), ("mismatch_seed", 0, 2**63), ("solver_iterations", 1, 10_000),
-        ):  # fmt: skip
-            value = getattr(self, name)
-            if not isinstance(value, (int, np.integer)) or not lower <= value <= upper:
-                raise PhysicsError(f"{name} = {value!r} must be a whole number from {lower} to {upper}")
-            object.__setattr__(self, name, int(value))
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if f.name in _CHOICES:
-                if not isinstance(value, str) or value not in _CHOICES[f.name]:
-                    known = ", ".join(_CHOICES[f.name])
-                    raise PhysicsError(f"{f.name} = {value!r} must be one of {known}")
-            elif f.name == "spring_strengths":
-                self._check_strengths()
-            elif f.name != "spring" and not (
-                isinstance(value, (int, float)) and math.isfinite(value) and value >= 0
-            ):
-                raise PhysicsError(f"{f.name} = {value!r} must be a finite number, not negative")
-        for name in ("timestep_s", "impratio", "contact_time_constant_s", "axial_range"):
-            if getattr(self, name) <= 0:
-                raise PhysicsError(f"{name} = {getattr(self, name)!r} must be positive")
-        try:
-            whole(SMA_STEP_S, self.timestep_s, "the thermal step")
-        except ValueError as error:
-            raise PhysicsError(f"timestep_s = {self.timestep_s:g} does not fit: {error}") from None
-
-    def _check_strengths(self) -> None:
-        given = self.spring_strengths
-        if given is None:
-            return
-        ok = isinstance(given, (tuple, list)) and len(given) == self.num_springs
-        if not ok or not all(isinstance(s, (int, float)) and 0 < s < math.inf for s in given):
-            raise PhysicsError(
-                f"spring_strengths must be {self.num_springs} positive numbers, one a spring; "
-                f"got {given}"
-            )
-        object.__setattr__(self, "spring_strengths", tuple(map(float, given)))
-
-    @property
-    def num_springs(self) -> int:
-        """Number of SMA springs: four to a gap between neighbouring legged elements."""
-        return SPRINGS_PER_GAP * (self.num_segments - 1)
-
-    @classmethod
-    def of(cls, value: Physics | dict[str, Any] | None) -> Physics:
-        """Physics from itself, from a (partial) mapping of its fields, or the default for None.
-
-        Raises:
-            PhysicsError: an unknown field or an unusable value.
-        """
-        if isinstance(value, Physics):
-            return value
-        return _from_dict(cls, value or {}, "physics")
-
-    def to_dict(self) -> dict[str, Any]:
-        """All fields by name, the spring's nested: plain JSON."""
-        return asdict(self)
-
-    def strengths(self) -> NDArray[np.float64]:
-        """Factor on each spring's force, shape (num_springs,): the robot's actuator mismatch.
-
-        `spring_strengths` where given, else normal about 1 with `mismatch_std`, drawn from
-        `mismatch_seed`; never below a tenth. Mirrored gaits of a perfect robot would never turn, and the
-        paper's yaw criterion would be inert.
-        """
-        if self.spring_strengths is not None:
-            return np.array(self.spring_strengths)
-        rng = np.random.default_rng(np.random.SeedSequence(self.mismatch_seed, spawn_key=(0x5A,)))
-        draw: NDArray[np.float64] = rng.standard_normal(self.num_springs)
-        return np.maximum(1.0 + self.mismatch_std * draw, 0.1)
-
-
-def _from_dict(kind: type[T], value: Any, what: str) -> T:
-    names = [f.name for f in fields(kind)]  # type: ignore[arg-type]
-    if not isinstance(value, dict) or not set(value) <= set(names):
-        got = ", ".join(map(str, set(value) - set(names))) if isinstance(value, dict) else repr(value)
-        raise PhysicsError(f"{what} takes a mapping with fields among {', '.join(names)}; got {got}")
-    return kind(**value)
+_SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
+_CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
+_BEND_AXES = {"yaw": [0, 0, 1], "pitch": [0, 1, 0]}
 
 
 def joint_names(num_segments: int) -> list[str]:
@@ -288,6 +155,17 @@ def _add_robot(
         add_cameras(spec.body("element0"), segments, make)
 
 
+def touching_geoms(model: mujoco.MjModel) -> NDArray[np.intp]:
+    """Indices of the geoms that can touch the ground: feet and shells, spheres all."""
+    return np.flatnonzero(model.geom_conaffinity)
+
+
+def clearances_m(positions_m: NDArray[np.float64], radii_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far above the ground spheres are at their lowest points, (..., 3) and (...) to (...), m."""
+    lowest: NDArray[np.float64] = positions_m[..., 2] - radii_m
+    return lowest
+
+
 def trim_tendons(model: mujoco.MjModel) -> None:
     """Keep of each spring's Jacobian only the joints between the two elements that it spans.
 
@@ -323,9 +201,9 @@ def _set_defaults(spec: mujoco.MjSpec, p: Physics) -> None:
 def _set_options(spec: mujoco.MjSpec, p: Physics) -> None:
     option = spec.option
     option.timestep = p.timestep_s
-    option.integrator = _CHOICES["integrator"][p.integrator]
-    option.solver = _CHOICES["solver"][p.solver]
-    option.cone = _CHOICES["cone"][p.cone]
+    option.integrator = _INTEGRATORS[p.integrator]
+    option.solver = _SOLVERS[p.solver]
+    option.cone = _CONES[p.cone]
     option.impratio = p.impratio
     option.tolerance = p.solver_tolerance
     option.iterations = p.solver_iterations
@@ -392,7 +270,7 @@ def _add_intra_segment_joints(
         body.add_joint,
         {
             "name": f"bend{segment}", "type": mujoco.mjtJoint.mjJNT_HINGE,
-            "axis": _CHOICES["bend_axis"][p.bend_axis],
+            "axis": _BEND_AXES[p.bend_axis],
             "stiffness": [p.bend_ratio * p.neck_stiffness_n_m_rad, 0, 0],
             "damping": [p.bend_ratio * p.neck_damping_n_m_s_rad, 0, 0],
         },

@@ -132,6 +132,11 @@ class Morphology:
 Body = Morphology | tuple[Morphology, ...]
 
 
+def length_m(segments: Sequence[Morphology]) -> float:
+    """Length of a body from its segments, m."""
+    return sum(segment.segment_length_m for segment in segments)
+
+
 def segments_of(body: Body, num_segments: int) -> tuple[Morphology, ...]:
     """The morphology of each segment, from head to tail.
 

@@ -16,7 +16,8 @@ import mujoco
 import numpy as np
 
 from caterpillar_env.errors import PhysicsError
-from caterpillar_env.model import Physics, trim_tendons
+from caterpillar_env.model import trim_tendons
+from caterpillar_env.physics import Physics, from_mapping, mismatched
 
 Range = tuple[float, float]
 
@@ -69,12 +70,7 @@ class Randomization:
             PhysicsError: an unknown field or an unusable value.
         """
         if not isinstance(value, Randomization):
-            known = [f.name for f in fields(cls)]
-            if value is not None and (not isinstance(value, Mapping) or not set(value) <= set(known)):
-                raise PhysicsError(
-                    f"randomization takes a mapping with fields among {', '.join(known)}; got {value!r}"
-                )
-            value = cls(**(value or {}))
+            value = from_mapping(cls, {} if value is None else value, "randomization")
         return None if value == cls() else value
 
     def check(self, physics: Physics) -> None:
@@ -103,7 +99,7 @@ class Randomization:
 
         strengths = physics.strengths()
         if self.mismatch_std is not None:
-            strengths = np.maximum(1.0 + value("mismatch_std", 1, 0.0) * normal, 0.1)
+            strengths = mismatched(value("mismatch_std", 1, 0.0), normal)
         return Conditions(
             friction=value("friction", 0, physics.friction),
             strengths=tuple((value("spring_force", 2, 1.0) * strengths).tolist()),

@@ -8,6 +8,7 @@ of them, at any number of threads.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -18,8 +19,15 @@ from numpy.typing import NDArray
 
 from caterpillar_env.errors import SimulationError
 from caterpillar_env.gait import whole
-from caterpillar_env.model import ELEMENTS_PER_SEGMENT, SMA_STEP_S, ModelBuilder, Physics, build_model
+from caterpillar_env.model import (
+    ELEMENTS_PER_SEGMENT,
+    ModelBuilder,
+    build_model,
+    clearances_m,
+    touching_geoms,
+)
 from caterpillar_env.morphology import Body, Morphology
+from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.randomization import Conditions, varied
 from caterpillar_env.sma import SmaState, advance
 
@@ -31,7 +39,8 @@ _POSITIONS_AND_VELOCITIES = mujoco.mjtStage.mjSTAGE_VEL.value
 FREE_QPOS, FREE_QVEL = 7, 6  # of the head's free joint; the other joints follow
 
 
-class Pose(NamedTuple):
+@dataclass(frozen=True)
+class Pose:
     """Where R robots are: what a verdict is made of. World frame, SI units.
 
     While robots move, all but the time is derived at the start of the last physics step (5 ms ago by
@@ -45,17 +54,13 @@ class Pose(NamedTuple):
     clearance_m: Array  #: lowest point of feet and elements above the ground, (R,)
 
 
-class BodyState(NamedTuple):
-    """Where R robots are and how they move: a `Pose` and more; J internal joints.
+@dataclass(frozen=True)
+class BodyState(Pose):
+    """Where R robots are and how they move; J internal joints.
 
     `velocity` is as old as the pose; joints and springs are those of this very moment.
     """
 
-    time_s: Array  #: simulated since reset, (R,)
-    com_m: Array  #: centre of mass of the whole robot, (R, 3)
-    up: Array  #: mean over the elements of their own upward axis, (R, 3)
-    forward: Array  #: mean over the elements of their own forward axis, (R, 3)
-    clearance_m: Array  #: lowest point of feet and elements above the ground, (R,)
     velocity: Array  #: mean velocity (3) and mean angular velocity (3) of the elements, (R, 6)
     joint_position: Array  #: axial, bend and neck joints from head to tail, m or rad, (R, J)
     joint_velocity: Array  #: likewise, m/s or rad/s, (R, J)
@@ -105,9 +110,8 @@ class Simulation:
         self._xpos, self._xmat = self._batch.bind("xpos"), self._batch.bind("xmat")
         self._com, self._cvel = self._batch.bind("subtree_com"), self._batch.bind("cvel")
         self._geom_xpos, self._warning = self._batch.bind("geom_xpos"), self._batch.warning
-        touching = [i for i in range(nominal.ngeom) if nominal.geom_conaffinity[i]]
-        self._touching = np.array(touching)  # feet and shells, spheres all
-        self._radius = np.tile(nominal.geom_size[touching, 0], (num_rows, 1))
+        self._touching = touching_geoms(nominal)
+        self._radius = np.tile(nominal.geom_size[self._touching, 0], (num_rows, 1))
         self._middles = (np.arange(self._substeps)[:, None] + 0.5) / self._substeps
         self._sma = SmaState.cold(physics.spring, (num_rows, physics.num_springs))
         self._steps = np.zeros(num_rows, dtype=np.int64)  # thermal steps since reset
@@ -291,7 +295,7 @@ class Simulation:
         index = self._rows(rows)
         matrices = self._xmat[index, self._elements]
         axes = np.add.reduce(matrices, axis=1) / matrices.shape[1]  # row-major: x, y, z are columns
-        lowest = self._geom_xpos[index[:, None], self._touching, 2] - self._radius[index]
+        lowest = clearances_m(self._geom_xpos[index[:, None], self._touching], self._radius[index])
         return Pose(
             time_s=self._steps[index].astype(np.float64) * SMA_STEP_S,
             com_m=self._com[index, 1],
@@ -311,7 +315,7 @@ class Simulation:
         mean = np.add.reduce(spatial, axis=1) / spatial.shape[1]
         sma = SmaState(self._sma.enthalpy_j_kg[index], self._sma.fraction[index])
         return BodyState(
-            *pose,
+            **vars(pose),
             velocity=mean[:, [3, 4, 5, 0, 1, 2]],
             joint_position=self._qpos[index, FREE_QPOS:],
             joint_velocity=self._qvel[index, FREE_QVEL:],

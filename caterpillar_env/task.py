@@ -1,8 +1,7 @@
 """The task: crawl straight ahead for 30 s without falling, leaping or turning away.
 
-Pure functions say what is seen (`observe`), and what counts as a failure (`judge`); `Crawl` runs robots
-interval by interval, stops those that fail, and keeps their account. Environments and fitness
-evaluation all go through `Crawl.run`.
+`judge` says what counts as a failure; `Crawl` runs robots interval by interval, stops those that fail,
+and keeps their account. Environments and fitness evaluation all go through `Crawl.run`.
 """
 
 from __future__ import annotations
@@ -10,18 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.errors import SimulationError
-from caterpillar_env.gait import spring_names, whole
-from caterpillar_env.model import CONTROL_INTERVAL_S, SMA_STEP_S, Physics, joint_names
-from caterpillar_env.morphology import NAMES, Body
+from caterpillar_env.gait import whole
+from caterpillar_env.morphology import Body
+from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.randomization import Conditions
-from caterpillar_env.simulation import Array, BodyState, Pose, Rows, Simulation, Trace
+from caterpillar_env.simulation import Array, Pose, Rows, Simulation, Trace
 
 #: Saunders 2009, section IV: distance travelled within 30 s of simulated time.
 EPISODE_S = 30.0
@@ -45,6 +43,12 @@ class Failure(IntEnum):
 
 
 _NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # members are slow to look up
+_LABELS = {int(failure): failure.label for failure in Failure}
+
+
+def label(failure: int | np.integer[Any]) -> str:
+    """Name of a failure code, "ok" for none."""
+    return _LABELS[int(failure)]
 
 
 @dataclass(frozen=True)
@@ -243,94 +247,3 @@ class Crawl:
 
     def _rows(self, rows: Rows | None) -> Rows:
         return np.arange(self.simulation.num_rows) if rows is None else rows
-
-
-def observation_names(physics: Physics, *, clock: bool) -> list[str]:
-    """Name of each entry of an observation, in order.
-
-    Args:
-        physics: gives the number of segments.
-        clock: whether the phase of the gait period is seen; at the end of whole periods it is constant.
-    """
-    joints = joint_names(physics.num_segments)
-    springs = spring_names(physics.num_segments)
-    return [
-        *(f"position:{j}" for j in joints),
-        *(f"velocity:{j}" for j in joints),
-        *(f"up:{axis}" for axis in "xyz"),
-        "heading:cos",
-        "heading:sin",
-        "height",
-        *(f"linear_velocity:{axis}" for axis in "xyz"),
-        *(f"angular_velocity:{axis}" for axis in "xyz"),
-        *(f"temperature:{s}" for s in springs),
-        *(f"fraction:{s}" for s in springs),
-        *(("phase:cos", "phase:sin") if clock else ()),
-        *(f"morphology:{n}" for n in NAMES),
-    ]
-
-
-# Scales that bring observations to the order of one.
-_AXIAL_SCALE_M = 0.003
-_ANGLE_SCALE_RAD = 0.3
-_VELOCITY_SCALE_M_S = 0.02
-_RATE_SCALE_RAD_S = 1.0
-_HEIGHT_SCALE_M = 0.024
-
-
-@lru_cache
-def _joint_scales(num_segments: int) -> Array:
-    """What 1 stands for in positions and velocities of the internal joints, (2, J)."""
-    return np.array(
-        [
-            (_AXIAL_SCALE_M, _VELOCITY_SCALE_M_S)
-            if name.startswith("axial")
-            else (_ANGLE_SCALE_RAD, _RATE_SCALE_RAD_S)
-            for name in joint_names(num_segments)
-        ]
-    ).T
-
-
-def observe(
-    physics: Physics,
-    state: BodyState,
-    heading_rad: Array,
-    morphology: Array,
-    clock_period_s: float | None,
-) -> NDArray[np.float32]:
-    """What robots sense, shape (R, len(observation_names)), float32; see the environment's table.
-
-    Args:
-        physics: what they are made of.
-        state: where they are and how they move.
-        heading_rad: their heading relative to the start, (R,).
-        morphology: their bodies scaled to [-1, 1], (R, 8).
-        clock_period_s: gait period whose phase is seen, s; None leaves it out.
-    """
-    spring = physics.spring
-    position_scale, velocity_scale = _joint_scales(physics.num_segments)
-    # Horizontal vectors are seen in the frame of the body's own heading.
-    heading = np.arctan2(state.forward[:, 1], state.forward[:, 0])[:, None]
-    cosine, sine = np.cos(heading), np.sin(heading)
-    vectors = np.concatenate([state.up, state.velocity], axis=1).reshape(-1, 3, 3)
-    x, y = vectors[..., 0].copy(), vectors[..., 1].copy()
-    vectors[..., 0] = cosine * x + sine * y
-    vectors[..., 1] = cosine * y - sine * x
-    parts = [
-        state.joint_position / position_scale,
-        state.joint_velocity / velocity_scale,
-        vectors[:, 0],
-        np.cos(heading_rad)[:, None],
-        np.sin(heading_rad)[:, None],
-        state.com_m[:, 2:] / _HEIGHT_SCALE_M,
-        vectors[:, 1] / _VELOCITY_SCALE_M_S,
-        vectors[:, 2] / _RATE_SCALE_RAD_S,
-        (state.temperature_c - spring.ambient_c) / (spring.cut_off_c - spring.ambient_c),
-        state.fraction,
-    ]
-    if clock_period_s is not None:
-        phase = (2 * np.pi / clock_period_s) * state.time_s[:, None]
-        parts += [np.cos(phase), np.sin(phase)]
-    parts.append(morphology)
-    observed: NDArray[np.float32] = np.concatenate(parts, axis=1).astype(np.float32)
-    return observed

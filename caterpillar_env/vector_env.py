@@ -11,12 +11,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from caterpillar_env.drawing.pictures import Pictures
+from caterpillar_env.drawing.rendering import View, drawn
 from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.episodes import Episodes, check_options, morphologies_for
 from caterpillar_env.errors import SimulationError
 from caterpillar_env.morphology import Morphology
-from caterpillar_env.overlay import Readout
-from caterpillar_env.rendering import RobotRenderer, check_picture, drawn
 
 Array = NDArray[np.float64]
 
@@ -76,10 +76,8 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
             "render_fps": 1 / self._episodes.step_s,
         }
         self.render_mode = render_mode
-        check_picture(width, height, camera_name)
-        self._picture = (width, height, camera_name, default_camera_config)
-        self._overlay = overlay
-        self._renderers: list[RobotRenderer | None] = [None] * num_envs
+        view = View(width, height, camera_name, default_camera_config)
+        self._pictures = Pictures(self._episodes.crawl, view, overlay=overlay)
         self._limit = max_episode_steps
         self._every = np.arange(num_envs)
         self._generators: list[np.random.Generator] = []
@@ -194,7 +192,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
     def _start(self, rows: NDArray[np.intp], info: dict[str, Any] | None = None) -> dict[str, Any]:
         info = {} if info is None else info
         for row in rows:
-            self._forget_renderer(row)
+            self._pictures.restart(row)
         observations, started = self._episodes.reset(
             rows, [self._morphologies[r] for r in rows], [self._generators[r] for r in rows]
         )
@@ -217,30 +215,10 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
 
     def render(self) -> tuple[Any, ...] | None:
         """One picture per row, or None without a render mode or where nothing can be drawn."""
-        return None if self.render_mode is None else drawn(self._draw)
-
-    def _draw(self) -> tuple[Any, ...]:
-        simulation = self._episodes.crawl.simulation
-        temperatures = simulation.state().temperature_c
-        progress = self._episodes.crawl.progress()
-        frames = []
-        for row in range(self.num_envs):
-            renderer = self._renderers[row]
-            if renderer is None:
-                model, data = simulation.drawable(row)
-                renderer = RobotRenderer(model, data, self._episodes.physics.spring, *self._picture)
-                self._renderers[row] = renderer
-            readout = Readout.of(progress, row) if self._overlay else None
-            frames.append(renderer.draw(simulation.qpos(row), temperatures[row], "rgb_array", readout))
-        return tuple(frames)
+        if self.render_mode is None:
+            return None
+        return drawn(lambda: tuple(self._pictures.draw(i, "rgb_array") for i in range(self.num_envs)))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the drawing contexts."""
-        for row in range(self.num_envs):
-            self._forget_renderer(row)
-
-    def _forget_renderer(self, row: int) -> None:
-        renderer = self._renderers[row]
-        if renderer is not None:
-            renderer.close()
-            self._renderers[row] = None
+        self._pictures.close()

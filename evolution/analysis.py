@@ -12,9 +12,10 @@ import numpy as np
 import polars
 from numpy.typing import NDArray
 
+from caterpillar_env.task import label
 from evolution import statistics
 from evolution.arms import EvolutionArm
-from evolution.individual import Robot, label, write_json
+from evolution.individual import Robot, write_json
 from evolution.statistics import Estimate
 from evolution.study import Cell, Course, StudyConfig, courses, is_finished
 

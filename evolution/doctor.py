@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from caterpillar_env.errors import INSTALL_DRAWING
+from caterpillar_env.drawing.backend import INSTALL_DRAWING
 from evolution import cli, machine
 
 PACKAGE = "caterpillar-sma"
@@ -241,14 +241,15 @@ def frame() -> dict[str, str]:
     import mujoco
     import numpy as np
 
+    from caterpillar_env.drawing.rendering import RobotRenderer, View
     from caterpillar_env.errors import SimulationError
-    from caterpillar_env.model import Physics, build_model
+    from caterpillar_env.model import build_model
     from caterpillar_env.morphology import Morphology
-    from caterpillar_env.rendering import RobotRenderer
+    from caterpillar_env.physics import Physics
 
     physics = Physics()
     model = build_model(Morphology(), physics, physics.strengths())
-    renderer = RobotRenderer(model, mujoco.MjData(model), physics.spring, 96, 64)
+    renderer = RobotRenderer(model, mujoco.MjData(model), physics.spring, View(96, 64))
     cold_c = np.full(physics.num_springs, physics.spring.ambient_c)
     picture = renderer.draw(model.qpos0, cold_c, "rgb_array")
     if picture is None or picture.std() < 1:

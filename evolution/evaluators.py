@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
-from caterpillar_env.model import CONTROL_INTERVAL_S, Physics
+from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.task import EPISODE_S
 from evolution.fitness import Outcomes, evaluate
 from evolution.genome import GenomeKind

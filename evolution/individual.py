@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings, pair_names, spring_names
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Body, Morphology, segments_of
+from caterpillar_env.physics import Physics
 from caterpillar_env.simulation import Trace
-from caterpillar_env.task import Failure
 from evolution.fitness import Outcomes, simulate
 from evolution.genome import GenomeKind, decode
 
@@ -210,8 +209,3 @@ def write_json(path: Path, data: Any) -> None:
     partial = path.with_name(f".{path.name}.partial")
     partial.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
     os.replace(partial, path)
-
-
-def label(failure: int | np.integer[Any]) -> str:
-    """Name of a failure code, "ok" for none."""
-    return Failure(int(failure)).label

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.task import Failure
+from caterpillar_env.task import Failure, label
 from evolution.fitness import Outcomes
 
 Array = NDArray[np.float64]
@@ -265,7 +265,7 @@ class Journal:
                 first + i,
                 generation,
                 genome.tobytes(),
-                Failure(int(outcomes.failure[i])).label,
+                label(outcomes.failure[i]),
                 float(outcomes.distance_m[i]),
                 float(outcomes.energy_j[i]),
                 float(outcomes.simulated_s[i]),

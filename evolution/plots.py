@@ -12,7 +12,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from caterpillar_env.model import SMA_STEP_S
+from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.sma import SmaState, advance
 from evolution.individual import Individual
 from evolution.preprocessor import GenePrior

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import whole
-from caterpillar_env.model import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
 from evolution.distributions import ClampedGaussian, Distribution, TruncatedGaussian, Uniform
 from evolution.genome import Gene, GenomeKind, genes
 

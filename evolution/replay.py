@@ -11,10 +11,11 @@ from typing import Annotated, Any
 
 import tyro
 
+from caterpillar_env.drawing.rendering import RenderingError
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.rendering import RenderingError
+from caterpillar_env.task import label
 from evolution import cli
-from evolution.individual import Individual, label
+from evolution.individual import Individual
 from evolution.records import leaders
 from evolution.video import Recording, VideoConfig, check_kind, write_video
 

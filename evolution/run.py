@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
-from caterpillar_env.model import Physics
+from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
 from evolution.distributions import Distribution, Uniform
 from evolution.evaluators import CHUNK, Evaluator, LocalEvaluator, Task

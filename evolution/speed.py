@@ -12,7 +12,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from caterpillar_env.model import SMA_STEP_S, Physics
+from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.simulation import Simulation
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl
 from evolution.evaluators import CHUNK

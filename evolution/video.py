@@ -16,14 +16,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from caterpillar_env.drawing.overlay import Readout
+from caterpillar_env.drawing.rendering import RobotRenderer, View
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.model import SMA_STEP_S, build_model
-from caterpillar_env.morphology import segments_of
-from caterpillar_env.overlay import Readout
-from caterpillar_env.rendering import RobotRenderer
+from caterpillar_env.model import build_model
+from caterpillar_env.morphology import length_m, segments_of
+from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.simulation import Trace
+from caterpillar_env.task import label
 from evolution.fitness import Outcomes
-from evolution.individual import Robot, label
+from evolution.individual import Robot
 
 Camera = Literal["track", "side", "top"]
 Frame = NDArray[np.uint8]
@@ -132,9 +134,7 @@ class Recording:
         self._temperature_c = np.concatenate([t.temperature_c[0] for t in traces])[:shown]
         self._energy_j = np.concatenate([t.energy_j[0] for t in traces])[:shown]
         physics = robot.physics
-        self.body_length_m = sum(
-            m.segment_length_m for m in segments_of(robot.morphology, physics.num_segments)
-        )
+        self.body_length_m = length_m(segments_of(robot.morphology, physics.num_segments))
 
     @property
     def duration_s(self) -> float:
@@ -156,7 +156,9 @@ class Recording:
         physics = self.robot.physics
         model = build_model(self.robot.morphology, physics, physics.strengths())
         model.cam_poscom0[:] *= view_m / self.body_length_m
-        renderer = RobotRenderer(model, mujoco.MjData(model), physics.spring, width, height, camera)
+        renderer = RobotRenderer(
+            model, mujoco.MjData(model), physics.spring, View(width, height, camera)
+        )
         start_m = renderer.centre_of_mass(self._qpos[0])[0]
         failure, last = label(self.outcomes.failure[0]), len(self._qpos) - 1
         drawn: dict[int, Frame] = {}

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from caterpillar_env.gait import GaitTimings
-from caterpillar_env.model import SMA_STEP_S, Physics
 from caterpillar_env.morphology import Body
+from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.task import EPISODE_S, Failure
 from evolution.fitness import Outcomes, simulate
 from evolution.validation.check import Check, at_least, at_most

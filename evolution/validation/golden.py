@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.gait import whole
-from caterpillar_env.model import SMA_STEP_S, Physics
-from caterpillar_env.task import EPISODE_S, Crawl
-from evolution.individual import Individual, label
+from caterpillar_env.physics import SMA_STEP_S, Physics
+from caterpillar_env.task import EPISODE_S, Crawl, label
+from evolution.individual import Individual
 from evolution.validation.check import Check
 from evolution.validation.robots import evolved_robots, random_individuals
 

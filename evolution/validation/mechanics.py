@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.gait import spring_names
-from caterpillar_env.model import SMA_STEP_S, Physics, build_model, joint_names
+from caterpillar_env.model import build_model, joint_names
 from caterpillar_env.morphology import Body, Morphology, segments_of
+from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.sma import spring_force
-from caterpillar_env.task import EPISODE_S, Crawl, Progress, Thresholds
+from caterpillar_env.task import EPISODE_S, Crawl, Progress, Thresholds, label
 from evolution.fitness import simulate
-from evolution.individual import Individual, label
+from evolution.individual import Individual
 from evolution.preprocessor import GRAVITY_M_S2
 from evolution.validation.check import Check, at_least, at_most, near, same
 from evolution.validation.robots import random_robots, together

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Body
+from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
 from evolution.genome import genes
 from evolution.individual import Individual

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from caterpillar_env.gait import GaitTimings
-from caterpillar_env.model import Physics
+from caterpillar_env.physics import Physics
 from evolution.fitness import simulate
 from evolution.individual import Individual
 from evolution.validation.robots import together

@@ -10,7 +10,7 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 from viser import GuiApi, GuiSliderHandle, GuiUplotHandle, uplot
 
-from caterpillar_env.overlay import spring_rgb
+from caterpillar_env.drawing.overlay import spring_rgb
 from caterpillar_env.sma import SmaSpring
 from caterpillar_env.task import EPISODE_S, Failure
 from evolution.individual import Individual

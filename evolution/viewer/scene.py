@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from viser import FrameHandle, LineSegmentsHandle, SceneApi
 
+from caterpillar_env.drawing.overlay import spring_rgb
 from caterpillar_env.model import build_model
-from caterpillar_env.overlay import spring_rgb
 from evolution.individual import Individual
 
 Array = NDArray[np.float64]

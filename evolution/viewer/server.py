@@ -13,7 +13,7 @@ import viser
 from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.morphology import segments_of
+from caterpillar_env.morphology import length_m, segments_of
 from evolution.individual import Individual
 from evolution.viewer.player import Player
 from evolution.viewer.session import Session
@@ -97,8 +97,8 @@ class Viewer:
 def _view(individual: Individual, aspect: float) -> tuple[Array, Array]:
     """Where the camera stands and what it looks at, so that the robot fills a page, m."""
     physics = individual.physics
-    length_m = sum(m.segment_length_m for m in segments_of(individual.morphology, physics.num_segments))
-    height_m = 1.35 * length_m / aspect  # that is seen at the robot
+    long_m = length_m(segments_of(individual.morphology, physics.num_segments))
+    height_m = 1.35 * long_m / aspect  # that is seen at the robot
     look_at = np.array([0.0, 0.0, 0.015 - (_BEHIND_SHEET * height_m if aspect < _WIDEST else 0.0)])
     direction = np.array([0.2, -0.88, 0.43])
     return look_at + direction * height_m / (2 * np.tan(_FIELD_OF_VIEW_RAD / 2)), look_at

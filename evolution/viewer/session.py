@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.gait import GaitTimings, whole
-from caterpillar_env.model import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.simulation import Trace
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress
 from evolution.fitness import Outcomes

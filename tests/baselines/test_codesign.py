@@ -8,8 +8,8 @@ from baselines.config import TrainConfig, TrainingError
 from baselines.records import evaluations
 from baselines.training import train
 from baselines.vec_env import CaterpillarVecEnv
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import Physics
 
 pytestmark = pytest.mark.slow
 SMALL = Physics(num_segments=2, timestep_s=0.01)

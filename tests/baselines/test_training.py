@@ -10,7 +10,7 @@ from baselines.config import TrainConfig, TrainingError, hyperparameters
 from baselines.policy import AtRandom, Policy, TrainedRobot, judge, load
 from baselines.records import RECORD, Point, Record, evaluations
 from baselines.training import train
-from caterpillar_env.model import Physics
+from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
 from evolution.fitness import Outcomes
 

@@ -7,8 +7,9 @@ import pytest
 
 import caterpillar_env  # noqa: F401
 from caterpillar_env.errors import PhysicsError
-from caterpillar_env.model import Physics, build_model
+from caterpillar_env.model import build_model
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import Physics
 from caterpillar_env.randomization import Conditions, Randomization, varied
 from caterpillar_env.simulation import Simulation
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from caterpillar_env import Morphology, Physics, SimulationError
+from caterpillar_env.observation import observation_names, observe
 from caterpillar_env.simulation import Pose
-from caterpillar_env.task import Crawl, Failure, Thresholds, judge, observation_names, observe
+from caterpillar_env.task import Crawl, Failure, Thresholds, judge
 
 BODY = Morphology()
 JUMP_AT_ONCE = Thresholds(jumped_clearance_m=-1.0)  # everything is "clear of the ground"

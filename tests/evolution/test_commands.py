@@ -8,7 +8,7 @@ import sqlite3
 import pytest
 from rich.console import Console
 
-from caterpillar_env.model import Physics
+from caterpillar_env.physics import Physics
 from evolution import cli, commands
 from evolution.evaluators import LocalEvaluator
 from evolution.individual import Individual

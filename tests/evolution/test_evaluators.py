@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from caterpillar_env.model import Physics
+from caterpillar_env.physics import Physics
 from evolution.evaluators import EvaluationError, LocalEvaluator, RayEvaluator, Task
 from evolution.fitness import Outcomes
 

@@ -16,7 +16,7 @@ RUN = """
 import sys
 from pathlib import Path
 import evolution.run as run
-from caterpillar_env.model import Physics
+from caterpillar_env.physics import Physics
 from evolution.evaluators import LocalEvaluator
 from evolution.optimizers.cma_es import CmaConfig
 from evolution.optimizers.ga import GaConfig

@@ -6,8 +6,8 @@ import pytest
 
 from caterpillar_env.errors import SimulationError, TimingError
 from caterpillar_env.gait import GaitTimings
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import Physics
 from caterpillar_env.task import EPISODE_S, Crawl, Failure
 from evolution.fitness import Outcomes, evaluate, simulate
 from evolution.genome import GenomeError, decode

@@ -7,11 +7,11 @@ import pytest
 
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
-from caterpillar_env.task import Failure
+from caterpillar_env.physics import Physics
+from caterpillar_env.task import Failure, label
 from evolution.fitness import evaluate
-from evolution.individual import FORMAT, Individual, IndividualError, label
+from evolution.individual import FORMAT, Individual, IndividualError
 from evolution.run import RunConfig
 
 PERIOD_S = RunConfig().gait_period_s

@@ -8,8 +8,8 @@ from matplotlib import _pylab_helpers
 from matplotlib.image import imread
 
 from caterpillar_env.gait import GaitTimings
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import Physics
 from evolution import plots
 from evolution.individual import Individual
 from evolution.preprocessor import paper_priors

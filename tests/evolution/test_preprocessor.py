@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import PARAMETERS
+from caterpillar_env.physics import Physics
 from evolution.distributions import TruncatedGaussian, Uniform
 from evolution.genome import Gene
 from evolution.preprocessor import (

@@ -6,7 +6,7 @@ import numpy as np
 import polars
 import pytest
 
-from caterpillar_env.model import Physics
+from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
 from evolution import cli
 from evolution.evaluators import LocalEvaluator

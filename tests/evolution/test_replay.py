@@ -5,8 +5,8 @@ import pytest
 
 from caterpillar_env import rendering
 from caterpillar_env.gait import GaitTimings
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import Physics
 from evolution import cli
 from evolution.evaluators import LocalEvaluator
 from evolution.individual import Individual

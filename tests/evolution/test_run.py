@@ -8,8 +8,8 @@ import pytest
 
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import NAMES, Morphology
+from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
 from evolution.distributions import ClampedGaussian, TruncatedGaussian, Uniform
 from evolution.evaluators import EvaluationError, LocalEvaluator

@@ -10,7 +10,7 @@ import numpy as np
 import polars
 import pytest
 
-from caterpillar_env.model import Physics
+from caterpillar_env.physics import Physics
 from evolution import cli, run_report
 from evolution.evaluators import LocalEvaluator
 from evolution.fitness import Outcomes

@@ -8,10 +8,10 @@ import pytest
 from PIL import Image
 
 from caterpillar_env import rendering
+from caterpillar_env.drawing.rendering import RenderingError
 from caterpillar_env.gait import GaitTimings
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
-from caterpillar_env.rendering import RenderingError
+from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
 from evolution.individual import Individual
 from evolution.run import RunConfig

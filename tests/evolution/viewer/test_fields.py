@@ -7,8 +7,8 @@ import pytest
 
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import PARAMETERS, Morphology
+from caterpillar_env.physics import Physics
 from evolution.individual import Individual
 from evolution.validation.robots import random_individuals
 from evolution.viewer.fields import fields_of

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from caterpillar_env.gait import GaitTimings
-from caterpillar_env.model import Physics
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import Physics
 from evolution.individual import Individual
 
 pytest.importorskip("viser")

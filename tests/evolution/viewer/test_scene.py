@@ -6,8 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from caterpillar_env.model import Physics, build_model
-from caterpillar_env.overlay import spring_rgb
+from caterpillar_env.drawing.overlay import spring_rgb
+from caterpillar_env.model import build_model
+from caterpillar_env.physics import Physics
 from evolution.viewer.session import Session, nominal_robot
 
 pytest.importorskip("viser")

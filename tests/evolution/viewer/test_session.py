@@ -7,8 +7,8 @@ import pytest
 
 from caterpillar_env.errors import TimingError
 from caterpillar_env.gait import GaitTimings
-from caterpillar_env.model import SMA_STEP_S, Physics
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.sma import SmaSpring
 from caterpillar_env.task import EPISODE_S, Failure
 from evolution.individual import Individual

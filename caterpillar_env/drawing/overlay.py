@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from caterpillar_env.sma import SmaSpring
-from caterpillar_env.task import Failure, Progress
+from caterpillar_env.task import Progress, label
 
 Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
@@ -39,7 +39,7 @@ class Readout(NamedTuple):
             float(progress.time_s[row]),
             float(progress.distance_m[row]),
             float(progress.energy_j[row]),
-            Failure(int(progress.failure[row])).label,
+            label(progress.failure[row]),
         )
 
 

@@ -12,11 +12,11 @@ from caterpillar_env import (
     Physics,
     SimulationError,
     SmaSpring,
-    rendering,
 )
-from caterpillar_env.overlay import CONTACT_RGB, Readout
-from caterpillar_env.rendering import RenderingError, RobotRenderer
-from caterpillar_env.scenery import CAMERAS, RULER
+from caterpillar_env.drawing import rendering
+from caterpillar_env.drawing.overlay import CONTACT_RGB, Readout
+from caterpillar_env.drawing.rendering import RenderingError, RobotRenderer, View
+from caterpillar_env.drawing.scenery import CAMERAS, RULER
 from caterpillar_env.simulation import Simulation
 
 WIDTH, HEIGHT = 96, 64
@@ -43,7 +43,7 @@ def robot():
     """A robot at the start and its renderer: contexts are slow to make."""
     simulation = Simulation(1, Physics(), 1)
     simulation.reset([Morphology()])
-    renderer = RobotRenderer(*simulation.drawable(0), SmaSpring(), WIDTH, HEIGHT)
+    renderer = RobotRenderer(*simulation.drawable(0), SmaSpring(), View(WIDTH, HEIGHT))
     yield simulation.qpos(0), renderer
     renderer.close()
 
@@ -106,7 +106,7 @@ def test_ruler_stays_beside_a_robot_that_veers(robot):
 def test_path_is_drawn_with_a_readout_and_forgotten():
     simulation = Simulation(1, Physics(), 1)
     simulation.reset([Morphology()])
-    renderer = RobotRenderer(*simulation.drawable(0), SmaSpring(), 320, 240)
+    renderer = RobotRenderer(*simulation.drawable(0), SmaSpring(), View(320, 240))
     ahead = simulation.qpos(0)
     ahead[0] += 0.08
 
@@ -191,7 +191,7 @@ def test_new_body_is_drawn():
     old = env.render()
     env.reset(options={"morphology": SMALL})
     new = env.render()
-    shell = env._renderer._model.geom("shell0").size[0]
+    shell = env._pictures._renderers[0][1]._model.geom("shell0").size[0]
     env.close()
     assert shell == pytest.approx(0.009)
     assert (new != old).any()

@@ -2,9 +2,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from caterpillar_env.model import Physics, build_model
+from caterpillar_env.drawing.scenery import _PIXELS_PER_CM, _RULER_CM, CAMERAS, RULER, _ruler_picture
+from caterpillar_env.model import build_model
 from caterpillar_env.morphology import Morphology
-from caterpillar_env.scenery import _PIXELS_PER_CM, _RULER_CM, CAMERAS, RULER, _ruler_picture
+from caterpillar_env.physics import Physics
 
 PHYSICS = Physics()
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-import sys
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from typing import Any, TypeVar
@@ -17,9 +17,11 @@ import numpy as np
 from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
 from numpy.typing import NDArray
 
-from caterpillar_env.errors import INSTALL_DRAWING, CaterpillarError
-from caterpillar_env.overlay import CONTACT_RGB, PATH_RGB, Readout, annotate, spring_rgb
-from caterpillar_env.scenery import CAMERAS, RULER
+from caterpillar_env.drawing.backend import INSTALL_DRAWING
+from caterpillar_env.drawing.overlay import CONTACT_RGB, PATH_RGB, Readout, annotate, spring_rgb
+from caterpillar_env.drawing.scenery import CAMERAS, RULER
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.model import clearances_m, touching_geoms
 from caterpillar_env.sma import SmaSpring
 
 Array = NDArray[np.float64]
@@ -40,13 +42,6 @@ class RenderingError(CaterpillarError):
     """Nothing can be drawn here, or not as asked."""
 
 
-def has_display() -> bool:
-    """Whether a window can be opened."""
-    return sys.platform != "linux" or bool(
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    )
-
-
 def drawn(draw: Callable[[], T]) -> T | None:
     """What `draw` gives; None where this machine cannot draw, which is warned of once."""
     try:
@@ -61,17 +56,26 @@ def _warn(text: str) -> None:
     gymnasium.logger.warn(text)
 
 
-def check_picture(width: int, height: int, camera_name: str | None) -> None:
-    """Whether there can be such a picture.
+@dataclass(frozen=True)
+class View:
+    """What a picture shows.
 
     Raises:
         RenderingError: a size that is no positive whole number, or a camera that does not exist.
     """
-    for name, value in (("width", width), ("height", height)):
-        if not isinstance(value, (int, np.integer)) or not 1 <= value <= 8192:
-            raise RenderingError(f"{name} must be a number of pixels from 1 to 8192; got {value!r}")
-    if camera_name is not None and camera_name not in CAMERAS:
-        raise RenderingError(f"camera must be one of {', '.join(CAMERAS)}; got {camera_name!r}")
+
+    width: int = 640  #: pixels
+    height: int = 480  #: pixels
+    camera_name: str | None = "track"  #: one of `scenery.CAMERAS`; None for a free one
+    camera_config: dict[str, Any] | None = None  #: attributes of the free camera
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            value = getattr(self, name)
+            if not isinstance(value, (int, np.integer)) or not 1 <= value <= 8192:
+                raise RenderingError(f"{name} must be a number of pixels from 1 to 8192; got {value!r}")
+        if self.camera_name is not None and self.camera_name not in CAMERAS:
+            raise RenderingError(f"camera must be one of {', '.join(CAMERAS)}; got {self.camera_name!r}")
 
 
 def _mend() -> str:
@@ -87,13 +91,7 @@ class RobotRenderer:
         model: the robot with scenery; its colours and the ruler's place are changed.
         data: a pose of it, whose derived fields are computed here.
         spring: gives the temperatures' meaning.
-        width: of a frame, pixels.
-        height: of a frame, pixels.
-        camera_name: one of `scenery.CAMERAS`, or None for a free one.
-        camera_config: attributes of the free camera.
-
-    Raises:
-        RenderingError: see `check_picture`.
+        view: size and camera.
     """
 
     def __init__(
@@ -101,31 +99,26 @@ class RobotRenderer:
         model: mujoco.MjModel,
         data: mujoco.MjData,
         spring: SmaSpring,
-        width: int = 640,
-        height: int = 480,
-        camera_name: str | None = "track",
-        camera_config: dict[str, Any] | None = None,
+        view: View | None = None,
     ) -> None:
-        check_picture(width, height, camera_name)
         self._model, self._data, self._spring = model, data, spring
-        self._size = (width, height)
-        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
-        if camera_config is not None or camera_name is None:
+        self._view = view = view or View()
+        model.vis.global_.offwidth, model.vis.global_.offheight = view.width, view.height
+        if view.camera_config is not None or view.camera_name is None:
             self._camera: str | mujoco.MjvCamera = mujoco.MjvCamera()
             mujoco.mjv_defaultFreeCamera(model, self._camera)
-            for key, value in (camera_config or {}).items():
+            for key, value in (view.camera_config or {}).items():
                 if np.ndim(value):
                     getattr(self._camera, key)[:] = value
                 else:
                     setattr(self._camera, key, value)
         else:
-            self._camera = camera_name
-        self._camera_config = camera_config
+            self._camera = view.camera_name
         self._option = mujoco.MjvOption()
         self._option.sitegroup[:] = 0  # the springs show their ends
         names = [model.geom(i).name for i in range(model.ngeom)]
         self._feet = np.array([i for i, name in enumerate(names) if name.startswith("foot")])
-        self._spheres = np.flatnonzero(model.geom_conaffinity)
+        self._spheres = touching_geoms(model)
         self._foot_rgba = model.geom_rgba[self._feet].copy()
         self._ruler = model.geom(RULER).id
         # Its zero is where the centre of mass starts: it then reads the distance.
@@ -200,18 +193,19 @@ class RobotRenderer:
 
     def _touching(self) -> NDArray[np.intp]:
         """Feet and shells that touch the ground, (n,). Straight at the start they only just do."""
-        lowest_m = self._data.geom_xpos[self._spheres, 2] - self._model.geom_size[self._spheres, 0]
-        touching: NDArray[np.intp] = self._spheres[lowest_m < _TOUCHING_M]
+        above_m = clearances_m(
+            self._data.geom_xpos[self._spheres], self._model.geom_size[self._spheres, 0]
+        )
+        touching: NDArray[np.intp] = self._spheres[above_m < _TOUCHING_M]
         return touching
 
     def _ready(self) -> mujoco.Renderer:
         global _why_not
         if _why_not is None and self._picture is None:
-            width, height = self._size
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # of GLFW, before it fails
-                    self._picture = mujoco.Renderer(self._model, height, width)
+                    self._picture = mujoco.Renderer(self._model, self._view.height, self._view.width)
             except Exception as error:  # whatever the drawing backend raises
                 _why_not = f"MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}: {_first_line(error)}"
         if self._picture is None:
@@ -225,11 +219,13 @@ class RobotRenderer:
                     f"cannot open a window on display {os.environ.get('DISPLAY', '')!r}; draw with "
                     'render_mode="rgb_array" instead'
                 )
-            camera: dict[str, Any] = {"camera_id": -1, "default_cam_config": self._camera_config}
+            view = self._view
+            camera: dict[str, Any] = {"camera_id": -1, "default_cam_config": view.camera_config}
             if isinstance(self._camera, str):
                 camera = {"camera_name": self._camera}
-            width, height = self._size
-            self._window = MujocoRenderer(self._model, self._data, width=width, height=height, **camera)
+            self._window = MujocoRenderer(
+                self._model, self._data, width=view.width, height=view.height, **camera
+            )
         self._window.render("human")
 
     @staticmethod

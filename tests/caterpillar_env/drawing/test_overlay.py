@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from caterpillar_env import SmaSpring
-from caterpillar_env.overlay import Readout, annotate, spring_rgb
+from caterpillar_env.drawing.overlay import Readout, annotate, spring_rgb
 from caterpillar_env.task import Failure, Progress
 
 SPRING = SmaSpring()

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-import caterpillar_env
+from caterpillar_env.drawing import backend
 
 
 @pytest.mark.parametrize(
@@ -27,9 +27,9 @@ def test_egl_comes_first_then_osmesa(found, egl_works, chosen, monkeypatch):
     libraries = {
         f"lib{name}.so.{number}" for name, number in (("EGL", 1), ("OSMesa", 8)) if name in found
     }
-    monkeypatch.setattr(caterpillar_env, "_library", lambda name: name if name in libraries else None)
-    monkeypatch.setattr(caterpillar_env, "_works", lambda egl: egl_works)
-    caterpillar_env._choose_drawing_backend()
+    monkeypatch.setattr(backend, "_library", lambda name: name if name in libraries else None)
+    monkeypatch.setattr(backend, "_works", lambda egl: egl_works)
+    backend.choose()
     assert os.environ["MUJOCO_GL"] == chosen
 
 
@@ -39,13 +39,16 @@ def test_display_and_own_choice_are_left_alone(name, monkeypatch):
         monkeypatch.delenv(other, raising=False)
     monkeypatch.setenv(name, "mine")
     before = os.environ.get("MUJOCO_GL")
-    caterpillar_env._choose_drawing_backend()
+    backend.choose()
     assert os.environ.get("MUJOCO_GL") == before
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="EGL is of Linux")
 def test_egl_without_a_driver_is_seen_not_to_work():
-    code = "import ctypes, caterpillar_env as c; e = ctypes.CDLL('libEGL.so.1'); print(int(c._works(e)))"
+    code = (
+        "import ctypes; from caterpillar_env.drawing import backend; "
+        "print(int(backend._works(ctypes.CDLL('libEGL.so.1'))))"
+    )
     try:
         ctypes.CDLL("libEGL.so.1")
     except OSError:

@@ -8,7 +8,7 @@ from typing import Any
 
 import mujoco
 
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.morphology import Morphology, length_m
 
 #: Cameras of a drawn robot. All follow it: obliquely, at its side, from above.
 CAMERAS = ("track", "side", "top")
@@ -60,8 +60,8 @@ def add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
 
 def add_cameras(head: mujoco.MjsBody, segments: Sequence[Morphology], make: Callable[..., Any]) -> None:
     """The `CAMERAS`, from far enough to have all of the body in view."""
-    length_m = sum(m.segment_length_m for m in segments)
-    middle_m = segments[0].segment_length_m / 4 - length_m / 2
+    long_m = length_m(segments)
+    middle_m = segments[0].segment_length_m / 4 - long_m / 2
     for name, ((x, y, z), axes) in _VIEWS.items():
         make(
             head.add_camera,
@@ -69,7 +69,7 @@ def add_cameras(head: mujoco.MjsBody, segments: Sequence[Morphology], make: Call
                 "name": name, "mode": mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM, "fovy": 40,
                 "xyaxes": axes,
             },
-            pos=[middle_m + x * length_m, y * length_m, z * length_m],
+            pos=[middle_m + x * long_m, y * long_m, z * long_m],
         )  # fmt: skip
 
 

@@ -1,0 +1,153 @@
+"""What the robot is made of and how it is simulated: all that is not evolved."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Literal, TypeVar, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from caterpillar_env.errors import PhysicsError, TimingError
+from caterpillar_env.gait import SPRINGS_PER_GAP, whole
+from caterpillar_env.sma import SmaSpring
+
+T = TypeVar("T")
+
+#: Thermal step: the grid on which springs are heated and the fraction handed to the actuators.
+SMA_STEP_S = 0.01
+#: Control interval: how often failures are judged and, in switch mode, the power may change.
+CONTROL_INTERVAL_S = 0.1
+
+Integrator = Literal["discrete", "implicitfast"]
+Solver = Literal["newton", "cg"]
+Cone = Literal["elliptic", "pyramidal"]
+BendAxis = Literal["yaw", "pitch"]
+
+_CHOICES = {"integrator": Integrator, "solver": Solver, "cone": Cone, "bend_axis": BendAxis}
+_WHOLE = {"num_segments": (2, 64), "mismatch_seed": (0, 2**63), "solver_iterations": (1, 10_000)}
+_POSITIVE = ("timestep_s", "impratio", "contact_time_constant_s", "axial_range")
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Everything about the robot and its simulation that is not evolved. SI units.
+
+    Sources, plausible ranges and what was tried: docs/physics.md and docs/sources.md.
+
+    Raises:
+        PhysicsError: a value is of the wrong kind or out of range.
+    """
+
+    num_segments: int = 4
+    spring: SmaSpring = field(default_factory=SmaSpring)
+    neck_stiffness_n_m_rad: float = 6e-3  #: silicone neck, Dragon Skin 10
+    neck_damping_n_m_s_rad: float = 2e-4  #: silicone, coil friction, anchors: see docs/physics.md
+    axial_stiffness_n_m: float = 500.0
+    axial_damping_n_s_m: float = 1.0
+    axial_range: float = 0.15  #: travel of the prismatic joint as a share of the segment length
+    bend_ratio: float = 2.0  #: stiffness and damping of the intra-segment hinge over the neck's
+    bend_axis: BendAxis = "yaw"  #: the paper does not say
+    friction: float = 0.8
+    mismatch_std: float = 0.05  #: spread of the springs' strength from one to another
+    mismatch_seed: int = 0  #: which robot of that spread
+    spring_strengths: tuple[float, ...] | None = None  #: measured ones, instead of drawn
+    timestep_s: float = 0.005
+    integrator: Integrator = "discrete"
+    solver: Solver = "newton"
+    cone: Cone = "elliptic"
+    impratio: float = 100.0  #: grip: at 30 some robots creep 2 mm in 30 s
+    contact_time_constant_s: float = 0.02  #: MuJoCo's own default
+    solver_tolerance: float = 1e-8
+    solver_iterations: int = 100
+
+    def __post_init__(self) -> None:
+        if isinstance(self.spring, Mapping):
+            object.__setattr__(self, "spring", from_mapping(SmaSpring, self.spring, "spring"))
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if expected := self._expected(f.name, value):
+                raise PhysicsError(f"{f.name} = {value!r} must be {expected}")
+            if f.name in _WHOLE:
+                object.__setattr__(self, f.name, int(value))
+        if self.spring_strengths is not None:
+            object.__setattr__(self, "spring_strengths", tuple(map(float, self.spring_strengths)))
+        try:
+            whole(SMA_STEP_S, self.timestep_s, "the thermal step")
+        except TimingError as error:
+            raise PhysicsError(f"timestep_s = {self.timestep_s:g} does not fit: {error}") from None
+
+    def _expected(self, name: str, value: Any) -> str:
+        """What a field must be, where it is not."""
+        if name == "spring":
+            fits, expected = isinstance(value, SmaSpring), "an SmaSpring or a mapping of its fields"
+        elif name in _CHOICES:
+            known = get_args(_CHOICES[name])
+            fits, expected = value in known, f"one of {', '.join(known)}"
+        elif name in _WHOLE:
+            lower, upper = _WHOLE[name]
+            fits = isinstance(value, (int, np.integer)) and lower <= int(value) <= upper
+            expected = f"a whole number from {lower} to {upper}"
+        elif name == "spring_strengths":
+            fits = value is None or (
+                isinstance(value, (tuple, list))
+                and len(value) == self.num_springs
+                and all(isinstance(s, (int, float)) and 0 < s < math.inf for s in value)
+            )
+            expected = f"{self.num_springs} positive numbers, one a spring"
+        else:
+            fits = isinstance(value, (int, float)) and 0 <= value < math.inf
+            expected = "a finite number, not negative"
+            if name in _POSITIVE:
+                fits, expected = fits and value > 0, "a finite, positive number"
+        return "" if fits else expected
+
+    @property
+    def num_springs(self) -> int:
+        """Number of SMA springs: four to a gap between neighbouring legged elements."""
+        return SPRINGS_PER_GAP * (self.num_segments - 1)
+
+    @classmethod
+    def of(cls, value: Physics | Mapping[str, Any] | None) -> Physics:
+        """Physics from itself, from a (partial) mapping of its fields, or the default for None.
+
+        Raises:
+            PhysicsError: an unknown field or an unusable value.
+        """
+        return value if isinstance(value, Physics) else from_mapping(cls, value or {}, "physics")
+
+    def to_dict(self) -> dict[str, Any]:
+        """All fields by name, the spring's nested: plain JSON."""
+        return asdict(self)
+
+    def strengths(self) -> NDArray[np.float64]:
+        """Factor on each spring's force, shape (num_springs,): the robot's actuator mismatch.
+
+        `spring_strengths` where given, else normal about 1 with `mismatch_std`, drawn from
+        `mismatch_seed`; never below a tenth. Mirrored gaits of a perfect robot would never turn, and the
+        paper's yaw criterion would be inert.
+        """
+        if self.spring_strengths is not None:
+            return np.array(self.spring_strengths)
+        rng = np.random.default_rng(np.random.SeedSequence(self.mismatch_seed, spawn_key=(0x5A,)))
+        return mismatched(self.mismatch_std, rng.standard_normal(self.num_springs))
+
+
+def mismatched(std: float, normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Strengths about 1 from standard normal draws, never below a tenth."""
+    return np.maximum(1.0 + std * normal, 0.1)
+
+
+def from_mapping(kind: type[T], value: Any, what: str) -> T:
+    """A dataclass from some of its fields by name.
+
+    Raises:
+        PhysicsError: no mapping, or an unknown field; `what` says of what.
+    """
+    names = [f.name for f in fields(kind)]  # type: ignore[arg-type]
+    if not isinstance(value, Mapping) or not set(value) <= set(names):
+        got = ", ".join(map(str, set(value) - set(names))) if isinstance(value, Mapping) else repr(value)
+        raise PhysicsError(f"{what} takes a mapping with fields among {', '.join(names)}; got {got}")
+    return kind(**value)
