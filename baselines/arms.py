@@ -16,7 +16,7 @@ from baselines.policy import TrainedRobot
 from baselines.records import RECORD, Record, best_of, evaluations
 from baselines.training import train
 from caterpillar_env.gait import GAIT_PERIOD_S
-from evolution.arms import ArmError, Standing
+from evolution.study.arms import ArmError, Standing
 
 
 @dataclass(frozen=True)
@@ -31,17 +31,17 @@ class TrainArm:
 
     @property
     def role(self) -> str | None:
-        """See `evolution.arms.Arm`."""
+        """See `evolution.study.arms.Arm`."""
         return f"Reinforcement learning, {title(self.config)}"
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> TrainArm:
-        """See `evolution.arms.Arm`."""
+        """See `evolution.study.arms.Arm`."""
         return cls(TrainConfig.from_dict(data))
 
     @classmethod
     def shared(cls, base: Mapping[str, Any]) -> Mapping[str, Any]:
-        """See `evolution.arms.Arm`: the physics.
+        """See `evolution.study.arms.Arm`: the physics.
 
         Raises:
             ArmError: evolution has another gait period.
@@ -58,7 +58,7 @@ class TrainArm:
         return replace(self.config, seed=seed, budget_s=budget_s)
 
     def run(self, folder: Path, seed: int, budget_s: float) -> None:
-        """See `evolution.arms.Arm`."""
+        """See `evolution.study.arms.Arm`."""
         if self.is_finished(folder, seed, budget_s):
             return
         shutil.rmtree(folder, ignore_errors=True)
@@ -66,7 +66,7 @@ class TrainArm:
             raise ArmError(f"{folder} was interrupted; it starts anew when the study is started again")
 
     def is_finished(self, folder: Path, seed: int, budget_s: float) -> bool:
-        """See `evolution.arms.Arm`."""
+        """See `evolution.study.arms.Arm`."""
         if not (folder / RECORD).exists():
             return False
         try:
@@ -84,14 +84,14 @@ class TrainArm:
         return True
 
     def standing(self, folder: Path) -> Standing:
-        """See `evolution.arms.Arm`."""
+        """See `evolution.study.arms.Arm`."""
         points = evaluations(folder)
         top = best_of(points)
         best_m = 0.0 if top is None else max(top.distance_m, 0.0)
         return Standing(points[-1].simulated_s if points else 0.0, best_m)
 
     def evaluations(self, folder: Path) -> polars.DataFrame:
-        """See `evolution.arms.Arm`; genes are those of the body alone."""
+        """See `evolution.study.arms.Arm`; genes are those of the body alone."""
         points = evaluations(folder)
         rows, before_s = [], 0.0
         for number, point in enumerate(points):
@@ -110,14 +110,14 @@ class TrainArm:
         return polars.DataFrame(rows)
 
     def wall_s(self, folder: Path) -> float | None:
-        """See `evolution.arms.Arm`."""
+        """See `evolution.study.arms.Arm`."""
         return Record.load(folder).wall_s
 
     def versions(self, folder: Path) -> list[dict[str, str]]:
-        """See `evolution.arms.Arm`."""
+        """See `evolution.study.arms.Arm`."""
         return [Record.load(folder).versions]
 
     def best(self, folder: Path, budget_s: float) -> TrainedRobot | None:
-        """See `evolution.arms.Arm`."""
+        """See `evolution.study.arms.Arm`."""
         top = best_of(evaluations(folder))
         return None if top is None or top.distance_m <= 0 else TrainedRobot.load(folder)

@@ -12,8 +12,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from baselines.config import POPULATION, TrainConfig, TrainingError
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.morphology import NAMES, Morphology
+from evolution.config import RunConfig
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
-from evolution.run import RunConfig
 
 FROZEN_SHARE = 0.2  #: of the budget, at its end, in which the body stays
 

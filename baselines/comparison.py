@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from baselines.config import TrainConfig, TrainingError
 from baselines.records import Record, best_of, evaluations
-from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import Morphology
+from evolution.files import writing
 
 
 class Summary(NamedTuple):
@@ -85,7 +85,7 @@ def draw(groups: Mapping[str, Sequence[Path]], path: Path) -> None:
     """Distance of the deterministic policy over simulated time: every training, failures at 0.
 
     Raises:
-        CaterpillarError: the file cannot be written.
+        FileError: the file cannot be written.
     """
     figure = Figure(figsize=(8, 4.6), layout="constrained")
     axis = figure.subplots()
@@ -104,7 +104,5 @@ def draw(groups: Mapping[str, Sequence[Path]], path: Path) -> None:
     axis.grid(alpha=0.3)
     if groups:
         axis.legend(fontsize="small")
-    try:
+    with writing(path):
         figure.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise CaterpillarError(f"cannot write {path}: {error}; choose another file with --out") from None

@@ -23,8 +23,9 @@ from caterpillar_env.episodes import Episodes
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.simulation import Trace
+from evolution.files import write_json
 from evolution.fitness import Outcomes
-from evolution.individual import digest_of, write_json
+from evolution.individual import digest_of
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "ppo": PPO, "a2c": A2C, "sac": SAC, "tqc": TQC, "ars": ARS,

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from baselines.config import TrainConfig, TrainingError
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import NAMES, Morphology
-from evolution.individual import write_json
+from evolution.files import write_json
 
 RECORD = "training.json"
 EVALUATIONS = "evaluations.csv"

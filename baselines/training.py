@@ -21,6 +21,7 @@ from baselines.policy import ALGORITHMS, Policy, judge, settings
 from baselines.records import TENSORBOARD, Point, Record, append
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.task import EPISODE_S, label
+from evolution.files import make_folder
 from evolution.journal import fingerprint
 
 _LEAST_ROLLOUTS = 5  #: that bodies are to evolve in
@@ -64,7 +65,8 @@ def train(
         threads: that robots are stepped on; 0 for all cores. Results do not depend on it.
 
     Raises:
-        TrainingError: the folder is not empty or cannot be written, or tensorboard is not installed.
+        FileError: the folder is not empty or cannot be written.
+        TrainingError: the budget is too little, or tensorboard is not installed.
     """
     learning = hyperparameters(config)
     began = time.perf_counter()
@@ -73,7 +75,7 @@ def train(
         **settings(config, randomization=config.randomize),
     )  # fmt: skip
     reserve_s = _check_budget(config, robots)
-    _prepare(folder)
+    make_folder(folder, " (a training that was stopped is not gone on with but done anew)")
     record = Record(config, learning.plain(), _versions(), finished=False, wall_s=None, simulated_s=0.0)
     record.save(folder)
     env: Any = VecMonitor(robots)
@@ -133,20 +135,6 @@ def _check_budget(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
             f"episodes of {robots.num_envs} robots take {least_s:g}"
         )
     return reserve_s
-
-
-def _prepare(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
-            raise TrainingError(
-                f"{folder} is not empty; choose another with --out (a training that was stopped is not "
-                "gone on with but done anew)"
-            )
-    except OSError as error:
-        raise TrainingError(
-            f"cannot write the folder {folder}: {error.strerror}; choose another with --out"
-        ) from None
 
 
 def _versions() -> dict[str, str]:

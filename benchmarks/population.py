@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import report, rounds, spread, timed
-from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.task import EPISODE_S, Crawl
 from evolution.fitness import evaluate, simulate
-from evolution.genome import genes
+from evolution.genome import Encoding
 from evolution.speed import recorded
 from evolution.validation.robots import random_robots
 
@@ -97,7 +96,7 @@ def memory(evaluations: int) -> None:
     """Resident memory while many short evaluations are made, 200 at a time."""
     physics = Physics()
     rng = np.random.default_rng(0)
-    size = len(genes(physics.num_segments, GAIT_PERIOD_S))
+    size = len(Encoding(physics).genes)
     rows = []
     for done in range(0, evaluations + 1, 200):
         if done % (evaluations // 10) == 0:
@@ -105,7 +104,7 @@ def memory(evaluations: int) -> None:
             rows.append({"evaluations": done, "resident MB": _resident_mb()})
         if done < evaluations:
             genomes = rng.random((200, size))
-            evaluate(genomes, physics, GAIT_PERIOD_S, duration_s=0.1)
+            evaluate(genomes, Encoding(physics), duration_s=0.1)
     growth = rows[-1]["resident MB"] - rows[1]["resident MB"]
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     report("memory over evaluations", rows, growth_mb=growth, peak_mb=peak)

@@ -1,4 +1,4 @@
-"""The subcommand `doctor`: what is installed, whether drawing works, and how fast this machine is.
+"""What is installed, whether drawing works, and how fast this machine is.
 
 Nothing here imports MuJoCo: it is tried in processes of its own, whose crash is a finding.
 """
@@ -13,25 +13,19 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from caterpillar_env.drawing.backend import INSTALL_DRAWING
-from evolution import cli, machine
+from evolution import machine
 
 PACKAGE = "caterpillar-sma"
 Status = Literal["ok", "note", "fail"]  #: note: something that not every run needs does not work
-_MARKS = {"ok": "[green]ok[/green]", "note": "[yellow]--[/yellow]", "fail": "[red]NO[/red]"}
 _FOR_DEVELOPERS = ("test", "docs")
-_TRIAL_S = 8.0
 _PATIENCE_S = 120.0
 _BACKENDS: tuple[str | None, ...] = (None, "egl", "osmesa")
 
@@ -43,51 +37,6 @@ class Finding(NamedTuple):
     status: Status
     found: str
     mend: str = ""  #: what to do about it
-
-
-@dataclass(frozen=True)
-class DoctorArgs:
-    """Say what is installed, whether drawing works, and how fast robots are simulated here.
-
-    The exit status is 1 if something that every run needs does not work. Drawing is needed for videos
-    and `render` only.
-    """
-
-    speed: bool = True
-    """Measure the speed, for ten seconds at most."""
-    json: bool = False
-    """Print data instead of a table."""
-
-
-def doctor_command(argv: Sequence[str]) -> int:
-    """`caterpillar doctor`."""
-    args = cli.parse(DoctorArgs, argv, "doctor")
-    console = cli.console()
-    findings = [*installed(), *processor()]
-    console.print("drawing a frame ...")
-    findings += [drawing(), ffmpeg()]
-    console.print("measuring the speed ..." if args.speed else "simulating a robot ...")
-    speed = _trial("speed", 50 if args.speed else 1, _TRIAL_S if args.speed else 0.0)
-    findings += simulating(speed, told=args.speed)
-    ok = all(f.status != "fail" for f in findings)
-    if args.json:
-        said = {"ok": ok, "findings": [f._asdict() for f in findings]}
-        print(json.dumps(said | {"speed": speed.data if args.speed else None}, indent=2))
-    else:
-        Console(width=None if sys.stdout.isatty() else 150).print(_table(findings))
-        some = any(f.status == "note" for f in findings)
-        good = "everything that every run needs works" + ("; -- marks what only some need" * some)
-        print("\n" + (good if ok else "something that every run needs does not work"))
-    return 0 if ok else 1
-
-
-def _table(findings: Sequence[Finding]) -> Table:
-    table = Table.grid(padding=(0, 2))
-    for finding in findings:
-        table.add_row(_MARKS[finding.status], finding.name, escape(finding.found))
-        if finding.mend:
-            table.add_row("", "", f"[bold]{escape(finding.mend)}[/bold]")
-    return table
 
 
 def installed() -> Iterator[Finding]:
@@ -162,12 +111,12 @@ def processor() -> Iterator[Finding]:
 def drawing() -> Finding:
     """Whether a frame can be drawn off-screen; if not, which backend could."""
     given = os.environ.get("MUJOCO_GL")
-    trial = _trial("frame")
-    if trial.data is not None:
-        return Finding("drawing", "ok", "{backend} ({renderer}) drew a frame".format(**trial.data))
-    found = f"no frame with MUJOCO_GL {'unset' if given is None else f'= {given}'}: {trial.why}"
+    tried = trial("frame")
+    if tried.data is not None:
+        return Finding("drawing", "ok", "{backend} ({renderer}) drew a frame".format(**tried.data))
+    found = f"no frame with MUJOCO_GL {'unset' if given is None else f'= {given}'}: {tried.why}"
     for backend in _BACKENDS:
-        if backend != given and _trial("frame", MUJOCO_GL=backend).data is not None:
+        if backend != given and trial("frame", MUJOCO_GL=backend).data is not None:
             mend = "unset MUJOCO_GL" if backend is None else f"export MUJOCO_GL={backend}"
             return Finding("drawing", "note", found, mend)
     return Finding("drawing", "note", found, INSTALL_DRAWING)
@@ -187,7 +136,7 @@ def ffmpeg() -> Finding:
 def simulating(speed: Trial, *, told: bool) -> Iterator[Finding]:
     """Whether robots can be simulated; how fast, if that was measured."""
     if speed.data is None:
-        set_but_bad = "MUJOCO_GL" in os.environ and _trial("speed", 1, 0.0, MUJOCO_GL=None).data
+        set_but_bad = "MUJOCO_GL" in os.environ and trial("speed", 1, 0.0, MUJOCO_GL=None).data
         again = "pip install --force-reinstall mujoco"
         yield Finding("simulation", "fail", speed.why, "unset MUJOCO_GL" if set_but_bad else again)
         return
@@ -214,7 +163,7 @@ class Trial(NamedTuple):
     why: str = ""  #: there is no data
 
 
-def _trial(function: str, *arguments: float, **environment: str | None) -> Trial:
+def trial(function: str, *arguments: float, **environment: str | None) -> Trial:
     """Call a function of this module in a process of its own; None unsets a variable."""
     call = f"doctor.{function}{arguments}"
     values: Mapping[str, str | None] = {**os.environ, **environment}
@@ -263,7 +212,7 @@ def frame() -> dict[str, str]:
 
 def speed(robots: int, limit_s: float) -> dict[str, float]:
     """Simulate robots beside the bare engine, see `evolution.speed.measure`."""
-    from evolution.run import RunConfig
+    from evolution.config import RunConfig
     from evolution.speed import measure
 
     found, evaluations = measure(robots, limit_s), RunConfig().evaluations()

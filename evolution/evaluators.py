@@ -1,6 +1,6 @@
 """Where genomes are evaluated: on this machine's threads, or on the workers of a Ray cluster.
 
-A result depends on the genome and the task alone, bit for bit: not on the evaluator, the number of
+A result depends on the genome and its encoding alone, bit for bit: not on the evaluator, the number of
 workers, or which genomes are evaluated side by side.
 """
 
@@ -9,18 +9,14 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.gait import GAIT_PERIOD_S
-from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
-from caterpillar_env.task import EPISODE_S
 from evolution.fitness import Outcomes, evaluate
-from evolution.genome import GenomeKind
+from evolution.genome import Encoding
 
 Array = NDArray[np.float64]
 CHUNK = 50  #: genomes that are evaluated, and recorded, together
@@ -28,37 +24,6 @@ CHUNK = 50  #: genomes that are evaluated, and recorded, together
 
 class EvaluationError(CaterpillarError):
     """An evaluation raised something; the run stops, and nothing is scored."""
-
-
-@dataclass(frozen=True)
-class Task:
-    """What genomes are evaluated on."""
-
-    physics: Physics
-    gait_period_s: float = GAIT_PERIOD_S
-    genome: GenomeKind = "shared"
-
-    def evaluate(
-        self, genomes: Array, *, threads: int = 0, on_progress: Callable[[float], None] | None = None
-    ) -> Outcomes:
-        """Let the robots of P genomes crawl side by side.
-
-        Args:
-            genomes: in [0, 1], (P, n).
-            threads: 0 means all cores.
-            on_progress: told the share that is done.
-        """
-        intervals = 0
-
-        def tick(_: object) -> None:
-            nonlocal intervals
-            intervals += 1
-            if on_progress is not None:
-                on_progress(intervals * CONTROL_INTERVAL_S / EPISODE_S)
-
-        return evaluate(
-            genomes, self.physics, self.gait_period_s, self.genome, threads=threads, on_interval=tick
-        )
 
 
 class Evaluator(Protocol):
@@ -69,7 +34,10 @@ class Evaluator(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
     def map(
-        self, task: Task, chunks: Sequence[Array], on_progress: Callable[[float], None] | None = None
+        self,
+        encoding: Encoding,
+        chunks: Sequence[Array],
+        on_progress: Callable[[float], None] | None = None,
     ) -> Iterator[Outcomes]:
         """The outcomes of each chunk, in the order of the chunks, as they are done.
 
@@ -95,25 +63,28 @@ class LocalEvaluator:
         pass
 
     def map(
-        self, task: Task, chunks: Sequence[Array], on_progress: Callable[[float], None] | None = None
+        self,
+        encoding: Encoding,
+        chunks: Sequence[Array],
+        on_progress: Callable[[float], None] | None = None,
     ) -> Iterator[Outcomes]:
         """See `Evaluator.map`."""
         for chunk in chunks:
-            yield explained(task, chunk, threads=self._threads, on_progress=on_progress)
+            yield explained(chunk, encoding, threads=self._threads, on_progress=on_progress)
 
 
-def explained(task: Task, genomes: Array, **kwargs: Any) -> Outcomes:
+def explained(genomes: Array, encoding: Encoding, **kwargs: Any) -> Outcomes:
     """Evaluate; what goes wrong is told with the genome that caused it.
 
     Raises:
         EvaluationError: an evaluation raised an exception, here or at a second try one by one.
     """
     try:
-        return task.evaluate(genomes, **kwargs)
+        return evaluate(genomes, encoding, **kwargs)
     except Exception as error:
         for genome in genomes:
             try:
-                task.evaluate(genome[None], threads=1)
+                evaluate(genome[None], encoding, threads=1)
             except Exception as cause:
                 raise EvaluationError(
                     f"evaluating a genome failed with {type(cause).__name__}: {cause}. The genome was "
@@ -168,15 +139,18 @@ class RayEvaluator:
             ray.shutdown()
 
     def map(
-        self, task: Task, chunks: Sequence[Array], on_progress: Callable[[float], None] | None = None
+        self,
+        encoding: Encoding,
+        chunks: Sequence[Array],
+        on_progress: Callable[[float], None] | None = None,
     ) -> Iterator[Outcomes]:
         """See `Evaluator.map`; progress is told by whole chunks only."""
         import ray
 
         # As many workers as cores, one thread each; a lost worker's task is started again elsewhere.
         remote = ray.remote(num_cpus=1, max_retries=-1)(explained)
-        shared = ray.put(task)
-        pending = [remote.remote(shared, chunk, threads=1) for chunk in chunks]
+        shared = ray.put(encoding)
+        pending = [remote.remote(chunk, shared, threads=1) for chunk in chunks]
         try:
             while pending:
                 try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from caterpillar_env.morphology import Body
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.simulation import Trace
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress
-from evolution.genome import GenomeKind, decode
+from evolution.genome import Encoding
 
 Array = NDArray[np.float64]
 _CHUNK_STEPS = 10 * STEPS_PER_INTERVAL
@@ -41,19 +41,34 @@ class Outcomes(NamedTuple):
 
 
 def evaluate(
-    genomes: Array, physics: Physics, period_s: float, kind: GenomeKind = "shared", **kwargs: Any
+    genomes: Array,
+    encoding: Encoding,
+    *,
+    threads: int = 0,
+    duration_s: float = EPISODE_S,
+    on_progress: Callable[[float], None] | None = None,
 ) -> Outcomes:
-    """Simulate P genomes side by side.
+    """Let the robots of P genomes crawl side by side, each until it fails.
 
     Args:
         genomes: in [0, 1], shape (P, n).
-        physics: material, numerics, number of segments.
-        period_s: gait period, a whole number of control intervals.
-        kind: of the genome.
-        **kwargs: as for `simulate`.
+        encoding: what they stand for; the gait period a whole number of control intervals.
+        threads: 0 means all cores; results do not depend on it.
+        duration_s: how long each crawls.
+        on_progress: told the share that is done.
     """
-    bodies, timings = decode(genomes, physics.num_segments, period_s, kind)
-    return simulate(bodies, timings, physics, **kwargs)
+    intervals = 0
+
+    def tick(_: object) -> None:
+        nonlocal intervals
+        intervals += 1
+        if on_progress is not None:
+            on_progress(intervals * CONTROL_INTERVAL_S / duration_s)
+
+    bodies, timings = encoding.decode(genomes)
+    return simulate(
+        bodies, timings, encoding.physics, threads=threads, duration_s=duration_s, on_interval=tick
+    )
 
 
 def simulate(

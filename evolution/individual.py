@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,8 +17,9 @@ from caterpillar_env.gait import GaitTimings, pair_names, spring_names
 from caterpillar_env.morphology import Body, Morphology, segments_of
 from caterpillar_env.physics import Physics
 from caterpillar_env.simulation import Trace
+from evolution.files import write_json
 from evolution.fitness import Outcomes, simulate
-from evolution.genome import GenomeKind, decode
+from evolution.genome import Encoding, gene_values
 
 FORMAT = "caterpillar-individual-1"
 _TIMED = {"pairs": pair_names, "springs": spring_names}
@@ -81,21 +81,25 @@ class Individual:
     def of_genome(
         cls,
         genome: NDArray[np.float64],
-        physics: Physics,
-        period_s: float,
-        kind: GenomeKind = "shared",
-        **record: Any,
+        encoding: Encoding,
+        *,
+        fitness_m: float | None = None,
+        generation: int | None = None,
     ) -> Individual:
         """The individual of a genome (n,) in [0, 1]."""
-        bodies, timings = decode(genome[None], physics.num_segments, period_s, kind)
-        gait = GaitTimings(period_s, timings.on_s[0], timings.off_s[0])
-        return cls(bodies[0], gait, physics, **record)
+        (body,), timings = encoding.decode(genome[None])
+        gait = GaitTimings(timings.period_s, timings.on_s[0], timings.off_s[0])
+        return cls(body, gait, encoding.physics, fitness_m, generation)
 
     def simulate(self, timestep_s: float | None = None, **kwargs: Any) -> Outcomes:
         """Let it crawl once more, at its own timestep or another; keywords as for `fitness.simulate`."""
         physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
-        gait = GaitTimings(self.timings.period_s, self.timings.on_s[None], self.timings.off_s[None])
-        return simulate([self.morphology], gait, physics, **kwargs)
+        return simulate([self.morphology], self._gaits, physics, **kwargs)
+
+    @property
+    def _gaits(self) -> GaitTimings:
+        """The timings as those of one robot among many, arrays of shape (1, n)."""
+        return replace(self.timings, on_s=self.timings.on_s[None], off_s=self.timings.off_s[None])
 
     @property
     def _kind(self) -> str:
@@ -107,10 +111,9 @@ class Individual:
         return _TIMED[self._kind](self.physics.num_segments)
 
     def gene_values(self) -> NDArray[np.float64]:
-        """What each gene says, in the order of `genome.genes`, SI units, (n,)."""
-        bodies = self.morphology if isinstance(self.morphology, tuple) else (self.morphology,)
-        times = np.stack([self.timings.on_s, self.timings.off_s], axis=-1)
-        return np.concatenate([*(body.to_array() for body in bodies), times.ravel()])
+        """What each gene says, in the order of the genes, SI units, (n,)."""
+        values: NDArray[np.float64] = gene_values([self.morphology], self._gaits)[0]
+        return values
 
     @property
     def digest(self) -> str:
@@ -160,13 +163,7 @@ class Individual:
                 np.array([float(given[n]["on_s"]) for n in names]),
                 np.array([float(given[n]["off_s"]) for n in names]),
             )
-            return cls(
-                body,
-                timings,
-                physics,
-                data.get("fitness_m"),
-                data.get("generation"),
-            )
+            return cls(body, timings, physics, data.get("fitness_m"), data.get("generation"))
         except CaterpillarError:
             raise
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -202,10 +199,3 @@ class Individual:
 def digest_of(data: dict[str, Any]) -> str:
     """Tells a robot, as plain JSON, from any other."""
     return hashlib.blake2b(json.dumps(data).encode(), digest_size=16).hexdigest()
-
-
-def write_json(path: Path, data: Any) -> None:
-    """Write a file whole or not at all."""
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
-    os.replace(partial, path)

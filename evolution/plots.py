@@ -14,16 +14,19 @@ from matplotlib.ticker import MaxNLocator
 
 from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.sma import SmaState, advance
+from caterpillar_env.task import Failure
 from evolution.individual import Individual
 from evolution.preprocessor import GenePrior
 from evolution.run import Generation
 
 _DPI = 120
 _WIDTH_IN = 6.0  # narrow, so that its text can be read on a telephone
-_FAILURES = {
-    "diverged": "tab:gray", "flipped": "tab:red", "tipped": "tab:purple", "jumped": "tab:green",
-    "veered": "tab:brown",
-}  # fmt: skip
+_COLOURS = ("gray", "red", "purple", "green", "brown", "olive", "pink", "cyan")
+#: Of each failure by its name, in all figures.
+FAILURE_COLOURS = {
+    failure.label: f"tab:{colour}"
+    for failure, colour in zip([f for f in Failure if f is not Failure.NONE], _COLOURS, strict=False)
+}
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -61,7 +64,7 @@ def convergence(history: Sequence[Generation], title: str) -> Figure:
     upper.legend()
     upper.grid(alpha=0.3)
     bottom = np.zeros(len(history))
-    for reason, colour in _FAILURES.items():
+    for reason, colour in FAILURE_COLOURS.items():
         counts = np.array([g.failures[reason] for g in history])
         if counts.any():
             lower.bar(numbers, counts, bottom=bottom, label=reason, color=colour)

@@ -20,7 +20,7 @@ from caterpillar_env.gait import whole
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
 from evolution.distributions import ClampedGaussian, Distribution, TruncatedGaussian, Uniform
-from evolution.genome import Gene, GenomeKind, genes
+from evolution.genome import Encoding, Gene
 
 Array = NDArray[np.float64]
 
@@ -217,27 +217,22 @@ def _prior(gene: Gene, peaks: Mapping[str, Mapping[str, float]], floor_ratio: fl
 
 
 def paper_priors(
-    physics: Physics,
-    period_s: float,
+    encoding: Encoding,
     floor_ratio: float = 3.0,
     clipping: Clipping = "truncated",
     *,
     mirrored: bool = False,
-    kind: GenomeKind = "shared",
 ) -> list[GenePrior]:
     """The preprocessor's answer for this robot: Table I.
 
     Args:
-        physics: of the robot; some of it is in the K_i.
-        period_s: gait period, the upper bound of the times.
+        encoding: the genes, of robots whose physics is in the K_i.
         floor_ratio: greatest over least density of a Gaussian, before it is clamped.
         clipping: what "clipped Gaussian" is to mean.
         mirrored: whether every peak is put at the opposite end: a prior that misleads on purpose.
-        kind: of the genome.
     """
-    whole(period_s, CONTROL_INTERVAL_S, "gait_period_s")
-    table = genes(physics.num_segments, period_s, kind)
-    priors = preprocess(design_parameters(physics), table, floor_ratio)
+    whole(encoding.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
+    priors = preprocess(design_parameters(encoding.physics), encoding.genes, floor_ratio)
     return [replace(p, distribution=_varied(p.distribution, clipping, mirrored)) for p in priors]
 
 

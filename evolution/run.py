@@ -8,156 +8,29 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.gait import GAIT_PERIOD_S
-from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
-from evolution.distributions import Distribution, Uniform
-from evolution.evaluators import CHUNK, Evaluator, LocalEvaluator, Task
+from evolution.config import RunConfig
+from evolution.evaluators import CHUNK, Evaluator, LocalEvaluator
+from evolution.files import make_folder
 from evolution.fitness import Outcomes
-from evolution.genome import Gene, GenomeKind, check, genes
 from evolution.individual import Individual
 from evolution.journal import Evaluation, Journal, fingerprint, outcomes_of
 from evolution.optimizers.base import Optimizer
-from evolution.optimizers.cma_es import CmaConfig, CmaEs
-from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
-from evolution.optimizers.random_search import RandomSearch, Sampling
-from evolution.preprocessor import Clipping, paper_priors
 
 Array = NDArray[np.float64]
-OptimizerName = Literal["ga", "cma-es", "random"]
-Prior = Literal["preprocessed", "uniform", "init-only", "mutation-only", "mirrored"]
-Objective = Literal["distance", "distance-per-energy"]
 
 
 class RunError(CaterpillarError):
     """A run cannot start, go on or be read as asked."""
-
-
-@dataclass(frozen=True)
-class RunConfig:
-    """Everything that decides what a run computes; threads and folders do not.
-
-    Raises:
-        RunError: a value is out of range.
-    """
-
-    seed: int = 0  #: of the optimizer; the robot's own is mismatch_seed
-    generations: int = 50  #: how often the optimizer asks
-    budget_s: float | None = None  #: simulated seconds; once they are spent, it asks no more
-    optimizer: OptimizerName = "ga"
-    genome: GenomeKind = "shared"  #: full: times of every spring; per-segment: a body for every segment
-    prior: Prior = "preprocessed"  #: what genes are drawn from; init- and mutation-only are the GA's
-    floor_ratio: float = 3.0  #: greatest over least density of a preprocessed gene
-    clipping: Clipping = "truncated"  #: what becomes of a Gaussian beyond the bounds of its gene
-    objective: Objective = "distance"  #: what is maximised: m, or m per J of electrical energy
-    failed_fitness: float = 0.0  #: "low fitness" of a robot that fails
-    gait_period_s: float = GAIT_PERIOD_S
-    sampling: Sampling = "independent"  #: of random search
-    ga: GaConfig = field(default_factory=GaConfig)
-    cma: CmaConfig = field(default_factory=CmaConfig)
-    physics: Physics = field(default_factory=Physics)
-
-    def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise RunError(f"seed = {self.seed} must not be negative")
-        if self.generations < 1:
-            raise RunError(f"generations = {self.generations} must be at least 1")
-        if self.budget_s is not None and not 0 < self.budget_s < np.inf:
-            raise RunError(f"budget_s = {self.budget_s} must be a positive number of simulated seconds")
-        for name, kind in _CHOICES.items():
-            if getattr(self, name) not in get_args(kind):
-                known = ", ".join(get_args(kind))
-                raise RunError(f"{name} = {getattr(self, name)!r} must be one of {known}")
-        if self.optimizer != "ga" and self.prior in ("init-only", "mutation-only"):
-            raise RunError(
-                f"prior = {self.prior!r} tells the genetic algorithm's first draw from its mutation; "
-                f"{self.optimizer} has but one: choose preprocessed, uniform or mirrored"
-            )
-        if not 0 <= self.failed_fitness < np.inf:
-            raise RunError(f"failed_fitness = {self.failed_fitness} must be finite and not negative")
-        self.distributions()
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> RunConfig:
-        """The configuration in plain JSON, as `to_dict` gives it.
-
-        Raises:
-            RunError: a field is unknown or unusable.
-        """
-        kinds: dict[str, Callable[..., Any]] = {
-            "ga": lambda value: GaConfig(**value),
-            "cma": lambda value: CmaConfig(**value),
-            "physics": Physics.of,
-        }
-        unknown = set(data) - {f.name for f in fields(cls)}
-        if unknown:
-            raise RunError(f"no such fields of a run's configuration: {', '.join(sorted(unknown))}")
-        try:
-            return cls(**{k: kinds[k](v) if k in kinds else v for k, v in data.items()})
-        except TypeError as error:
-            raise RunError(f"the configuration cannot be read: {error}") from None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain JSON."""
-        return asdict(self)
-
-    def distributions(self, use: Literal["init", "mutation"] = "init") -> list[Distribution]:
-        """What each gene is drawn from, at first or by mutation."""
-        rows = paper_priors(
-            self.physics, self.gait_period_s, self.floor_ratio, self.clipping,
-            mirrored=self.prior == "mirrored", kind=self.genome,
-        )  # fmt: skip
-        informed = self.prior in ("preprocessed", "mirrored", f"{use}-only")
-        return [row.distribution if informed else Uniform() for row in rows]
-
-    def genes(self) -> tuple[Gene, ...]:
-        """What a genome says, in its order."""
-        return genes(self.physics.num_segments, self.gait_period_s, self.genome)
-
-    def make_optimizer(self) -> Optimizer:
-        """The optimizer at its beginning."""
-        rng = np.random.default_rng(self.seed)
-        first = self.distributions("init")
-        if self.optimizer == "ga":
-            return GeneticAlgorithm(first, self.distributions("mutation"), self.ga, rng)
-        if self.optimizer == "cma-es":
-            return CmaEs(first, self.cma, rng)
-        return RandomSearch(first, self.ga.population, self.sampling, rng)
-
-    def evaluations(self) -> int:
-        """How many genomes the whole run evaluates; without restarts, in the case of CMA-ES."""
-        ga = self.ga
-        if self.optimizer == "ga":
-            return ga.population + (self.generations - 1) * (ga.population - ga.hall_of_fame)
-        if self.optimizer == "random":
-            return ga.population * self.generations
-        default = 4 + int(3 * np.log(len(self.genes())))
-        return (self.cma.cma_population or default) * self.generations
-
-    def share_done(self, told: Generation) -> float:
-        """How much of the run is behind it after a generation, in [0, 1]; of a budget, what is spent."""
-        if self.budget_s is not None:
-            return min(told.simulated_s / self.budget_s, 1.0)
-        return min(told.evaluations / self.evaluations(), 1.0)
-
-
-_CHOICES = {
-    "optimizer": OptimizerName,
-    "genome": GenomeKind,
-    "prior": Prior,
-    "clipping": Clipping,
-    "objective": Objective,
-    "sampling": Sampling,
-}
 
 
 class Generation(NamedTuple):
@@ -221,11 +94,12 @@ def evolve(
         on_progress: told the share of the current generation that is done.
 
     Raises:
-        RunError: the folder is not empty or cannot be written, a genome is no genome, or an objective of
-            your own gives something else than told above.
+        FileError: the folder is not empty or cannot be written.
+        GenomeError: the optimizer asks for what is no genome.
+        RunError: an objective of your own gives something else than told above.
         EvaluationError: an evaluation raised an exception.
     """
-    _prepare(folder)
+    make_folder(folder, f", or go on with a run by `caterpillar resume {folder}`")
     own = Own(
         None if optimizer is None else type(optimizer).__qualname__,
         None if objective is None else getattr(objective, "__qualname__", type(objective).__qualname__),
@@ -306,20 +180,6 @@ def _warn_of_versions(journal: Journal, warn: Callable[[str], None]) -> None:
             )
 
 
-def _prepare(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
-            raise RunError(
-                f"{folder} is not empty; choose another folder with --out, or go on with a run by "
-                f"`caterpillar resume {folder}`"
-            )
-    except OSError as error:
-        raise RunError(
-            f"cannot write the run folder {folder}: {error.strerror}; choose another with --out"
-        ) from None
-
-
 def _run(
     journal: Journal,
     config: RunConfig,
@@ -329,8 +189,7 @@ def _run(
     on_generation: Told | None,
     on_progress: Callable[[float], None] | None,
 ) -> RunResult:
-    optimizer = optimizer or config.make_optimizer()
-    num_genes = len(config.genes())
+    optimizer, encoding = optimizer or config.make_optimizer(), config.encoding
     known = list(journal.evaluations())
     session = journal.begin()
     record = _Record(config, objective, journal.path.parent)
@@ -339,7 +198,7 @@ def _run(
             for number in range(config.generations):
                 if config.budget_s is not None and record.simulated_s >= config.budget_s:
                     break
-                genomes = check(optimizer.ask(), num_genes)
+                genomes = encoding.check(optimizer.ask())
                 first = record.evaluations
                 parts = _replayed(known[first : first + len(genomes)], genomes, journal.path)
                 replayed = sum(len(part.failure) for part in parts)
@@ -402,7 +261,7 @@ def _evaluated(
     genomes: Array,
     workers: Evaluator,
     on_progress: Callable[[float], None] | None,
-) -> Any:
+) -> Iterator[Outcomes]:
     if not len(genomes):
         return
     chunks = [genomes[i : i + CHUNK] for i in range(0, len(genomes), CHUNK)]
@@ -412,9 +271,7 @@ def _evaluated(
         if on_progress is not None:
             on_progress((done + share * min(CHUNK, len(genomes) - done)) / len(genomes))
 
-    for outcomes in workers.map(
-        Task(config.physics, config.gait_period_s, config.genome), chunks, progress
-    ):
+    for outcomes in workers.map(config.encoding, chunks, progress):
         yield outcomes
         done += len(outcomes.failure)
 
@@ -449,10 +306,10 @@ class _Record:
         top = int(np.argmax(crawled))
         if crawled[top] > self._top:
             self._top = float(crawled[top])
+            fitness_m = float(outcomes.distance_m[top])
             self.best = Individual.of_genome(
-                genomes[top], config.physics, config.gait_period_s, config.genome,
-                fitness_m=float(outcomes.distance_m[top]), generation=number,
-            )  # fmt: skip
+                genomes[top], config.encoding, fitness_m=fitness_m, generation=number
+            )
             if self._folder is not None:
                 self.best.save(self._folder / "best.json")
         self.evaluations += len(genomes)

@@ -15,25 +15,18 @@ from matplotlib.figure import Figure
 
 from caterpillar_env.task import EPISODE_S, Failure
 from evolution import plots
+from evolution.config import OPTIMIZERS, PRIORS, RunConfig
 from evolution.evaluators import CHUNK
 from evolution.genome import Gene
 from evolution.individual import Individual
 from evolution.journal import Evaluation, Journal, Session
 from evolution.page import PageError, data_url, render
 from evolution.preprocessor import GenePrior, paper_priors
-from evolution.run import Generation, RunConfig, history, read_configuration
+from evolution.run import Generation, history, read_configuration
 from evolution.video import shows
 
 PAGE = "report.html"
 LARGEST_VIDEO_BYTES = 16 * 2**20
-_OPTIMIZERS = {"ga": "the genetic algorithm", "cma-es": "CMA-ES", "random": "random search"}
-_PRIORS = {
-    "preprocessed": "the preprocessor's distributions",
-    "uniform": "uniform distributions",
-    "init-only": "the preprocessor's distributions at first, uniform ones in mutation",
-    "mutation-only": "uniform distributions at first, the preprocessor's in mutation",
-    "mirrored": "the preprocessor's distributions with every peak at the wrong end",
-}
 
 
 @dataclass(frozen=True)
@@ -156,8 +149,8 @@ def page(record: Record, figures: Mapping[str, str]) -> str:
         width=max(len(line) for line, _ in commands),
         config=config,
         own=own,
-        optimizer=f"an optimizer of its own, {own}" if own else _OPTIMIZERS[config.optimizer],
-        prior="" if own else _PRIORS[config.prior],
+        optimizer=f"an optimizer of its own, {own}" if own else OPTIMIZERS[config.optimizer],
+        prior="" if own else PRIORS[config.prior],
         genes=gene_rows(record),
         changed=list(changed(record.configuration)),
         configuration=json.dumps(record.configuration, indent=2),
@@ -187,7 +180,7 @@ def gene_rows(record: Record) -> list[GeneRow]:
         return []
     config = record.config
     drawn = config.distributions("mutation" if config.prior == "mutation-only" else "init")
-    said = paper_priors(config.physics, config.gait_period_s, kind=config.genome)
+    said = paper_priors(config.encoding)
     values = record.best.gene_values().tolist()
     return [
         _gene_row(replace(prior, distribution=d), value)

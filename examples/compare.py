@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import get_args
 
 from caterpillar_env import Physics
+from evolution.config import OptimizerName, RunConfig
 from evolution.optimizers.cma_es import CmaConfig
 from evolution.optimizers.ga import GaConfig
-from evolution.run import OptimizerName, RunConfig, evolve
+from evolution.run import evolve
 
 SEEDS = (0, 1)
 SMALL = Physics(num_segments=2)  # a gap with four springs: quick, and a poor crawler

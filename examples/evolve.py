@@ -3,9 +3,10 @@
 import tempfile
 from pathlib import Path
 
+from evolution.config import RunConfig
 from evolution.individual import Individual
 from evolution.optimizers.ga import GaConfig
-from evolution.run import Generation, RunConfig, evolve
+from evolution.run import Generation, evolve
 
 
 def tell(generation: Generation) -> None:

@@ -3,13 +3,13 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from evolution.run import RunConfig
+from evolution.config import RunConfig
 
 GENE = "attachment_z_m"
 
 config = RunConfig()
-index = [gene.name for gene in config.genes()].index(GENE)
-gene, prior = config.genes()[index], config.distributions()[index]
+index = [gene.name for gene in config.encoding.genes].index(GENE)
+gene, prior = config.encoding.genes[index], config.distributions()[index]
 unit = np.linspace(0, 1, 201)
 draws = prior.sample(np.random.default_rng(0), 2000)
 

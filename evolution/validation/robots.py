@@ -14,15 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
+from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Body
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
-from evolution.genome import genes
+from evolution.config import Prior, RunConfig
+from evolution.genome import Encoding
 from evolution.individual import Individual
 from evolution.journal import Journal
 from evolution.optimizers.ga import GaConfig
-from evolution.run import Prior, RunConfig, evolve
+from evolution.run import evolve
 
 FILE = Path(__file__).with_name("evolved.json")
 RUNS: tuple[tuple[Prior, int], ...] = tuple(
@@ -33,9 +34,9 @@ TOP = 5  #: robots kept of each run
 
 def random_individuals(count: int, seed: int, physics: Physics) -> list[Individual]:
     """Robots of uniformly random genomes, one by one."""
-    num_genes = len(genes(physics.num_segments, GAIT_PERIOD_S))
-    drawn = np.random.default_rng(seed).random((count, num_genes))
-    return [Individual.of_genome(genome, physics, GAIT_PERIOD_S) for genome in drawn]
+    encoding = Encoding(physics)
+    drawn = np.random.default_rng(seed).random((count, len(encoding.genes)))
+    return [Individual.of_genome(genome, encoding) for genome in drawn]
 
 
 def random_robots(count: int, seed: int, physics: Physics) -> tuple[list[Body], GaitTimings]:
@@ -78,12 +79,9 @@ def best_of(folder: Path, config: RunConfig, count: int) -> list[Individual]:
     with Journal(folder) as journal:
         healthy = [e for e in journal.evaluations() if e.failure is Failure.NONE]
     return [
-        Individual.of_genome(
-            e.genome, config.physics, config.gait_period_s,
-            fitness_m=e.distance_m, generation=e.generation,
-        )
+        Individual.of_genome(e.genome, config.encoding, fitness_m=e.distance_m, generation=e.generation)
         for e in sorted(healthy, key=lambda e: -e.distance_m)[:count]
-    ]  # fmt: skip
+    ]
 
 
 if __name__ == "__main__":

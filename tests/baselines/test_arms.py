@@ -9,9 +9,11 @@ import pytest
 
 from baselines.arms import TrainArm
 from baselines.records import RECORD, evaluations
-from evolution import analysis, cli, study
-from evolution.arms import ArmError
-from evolution.study import Cell, StudyConfig
+from evolution import cli
+from evolution.study import winners
+from evolution.study.arms import ArmError
+from evolution.study.config import Cell, StudyConfig, StudyError, load, preset
+from evolution.study.results import collect, versions
 
 pytestmark = pytest.mark.slow
 
@@ -51,10 +53,10 @@ def finished(tmp_path_factory):
 
 
 def test_both_kinds_share_the_physics_and_the_budget(finished):
-    config = study.load(finished)
+    config = load(finished)
     assert isinstance(config.arms["ppo"], TrainArm)
     assert config.arms["ppo"].config.physics == config.arms["ga"].config.physics
-    frame, missing = study.collect(config, finished)
+    frame, missing = collect(config, finished)
     assert not missing
     spent = frame.group_by("arm", "seed").agg(polars.col("simulated_s").sum())
     assert {"ga", "ppo"} == set(spent["arm"])
@@ -63,7 +65,7 @@ def test_both_kinds_share_the_physics_and_the_budget(finished):
 
 
 def test_an_evaluation_carries_all_time_since_the_one_before(finished):
-    config = study.load(finished)
+    config = load(finished)
     folder = Cell("ppo", 0).folder(finished)
     points, rows = evaluations(folder), config.arms["ppo"].evaluations(folder)
     assert rows["simulated_s"].cum_sum().to_list() == pytest.approx([p.simulated_s for p in points])
@@ -74,11 +76,11 @@ def test_report_tells_of_both(finished):
     page = (finished / "report.html").read_text()
     assert "Reinforcement learning, ppo timing (ppo)" in page
     assert (finished / "figures" / "best-so-far.png").exists()
-    assert len(study.versions(study.load(finished), finished)) == 1
+    assert len(versions(load(finished), finished)) == 1
 
 
 def test_robots_that_fail_are_nobodys_best(finished, tmp_path):
-    config, run = study.load(finished), tmp_path / "cell"
+    config, run = load(finished), tmp_path / "cell"
     shutil.copytree(Cell("ppo", 0).folder(finished), run)
     table = polars.read_csv(run / "evaluations.csv")
     table.with_columns(failure=polars.lit("tipped"), distance_m=0.5).write_csv(run / "evaluations.csv")
@@ -86,7 +88,7 @@ def test_robots_that_fail_are_nobodys_best(finished, tmp_path):
 
 
 def test_record_that_cannot_be_read_is_not_taken_for_none(finished, tmp_path):
-    arm, run = study.load(finished).arms["ppo"], tmp_path / "cell"
+    arm, run = load(finished).arms["ppo"], tmp_path / "cell"
     shutil.copytree(Cell("ppo", 0).folder(finished), run)
     (run / RECORD).write_text("{}")
     with pytest.raises(ArmError, match="cannot be read"):
@@ -103,7 +105,7 @@ def test_best_robot_is_looked_at_again(finished, tmp_path):
     from baselines.policy import TrainedRobot
 
     robot = replace(TrainedRobot.load(Cell("ppo", 0).folder(finished)), fitness_m=0.01)
-    seen = analysis._look_again("ppo", 0, robot)
+    seen = winners._look_again("ppo", 0, robot)
     assert seen.recorded_m == 0.01
     assert seen.reference_m != 0
     assert seen.friction_m[0] <= seen.friction_m[1]
@@ -112,7 +114,7 @@ def test_best_robot_is_looked_at_again(finished, tmp_path):
 
 
 def test_a_finished_cell_is_not_run_again_and_an_unfinished_one_is_done_anew(finished, tmp_path):
-    config, cell = study.load(finished), Cell("ppo", 0)
+    config, cell = load(finished), Cell("ppo", 0)
     arm, run = config.arms["ppo"], tmp_path / "cell"
     shutil.copytree(cell.folder(finished), run)
     before = (run / "last.zip").stat().st_mtime_ns
@@ -128,7 +130,7 @@ def test_a_finished_cell_is_not_run_again_and_an_unfinished_one_is_done_anew(fin
 
 
 def test_a_cell_of_other_settings_or_hyperparameters_is_refused(finished, tmp_path):
-    arm, run = study.load(finished).arms["ppo"], tmp_path / "cell"
+    arm, run = load(finished).arms["ppo"], tmp_path / "cell"
     shutil.copytree(Cell("ppo", 0).folder(finished), run)
     with pytest.raises(ArmError, match="was run with other settings"):
         arm.is_finished(run, 1, 300)
@@ -140,7 +142,7 @@ def test_a_cell_of_other_settings_or_hyperparameters_is_refused(finished, tmp_pa
 
 
 def test_standing_is_read_while_it_runs(finished, tmp_path):
-    arm, folder = study.load(finished).arms["ppo"], Cell("ppo", 0).folder(finished)
+    arm, folder = load(finished).arms["ppo"], Cell("ppo", 0).folder(finished)
     assert arm.standing(folder).simulated_s == evaluations(folder)[-1].simulated_s
     assert arm.standing(tmp_path) == (0.0, 0.0)
     assert not arm.is_finished(tmp_path, 0, 300)
@@ -162,13 +164,13 @@ def test_unusable_arms_are_refused(arm, message):
     data = {
         "seeds": [0], "pilot_seeds": [1], "budget_s": 300, "reference": "x", "arms": {"x": arm},
     }  # fmt: skip
-    with pytest.raises(study.StudyError) as caught:
+    with pytest.raises(StudyError) as caught:
         StudyConfig.from_dict(data)
     assert message in str(caught.value)
 
 
 def test_preset_holds_every_row_of_the_comparison():
-    arms = study.preset("rl-pilot").arms
+    arms = preset("rl-pilot").arms
     trainings = {name: arm.config for name, arm in arms.items() if isinstance(arm, TrainArm)}
     assert {c.algorithm for c in trainings.values()} == {"ppo", "a2c", "sac", "tqc", "ars"}
     assert {c.design for c in trainings.values()} == {"fixed", "uniform", "preprocessed"}

@@ -62,7 +62,7 @@ def test_titles_say_what_is_special(fields, said):
 def test_curves_are_drawn(folders, tmp_path):
     comparison.draw(comparison.grouped({f: Record.load(f) for f in folders}), tmp_path / "x.png")
     assert (tmp_path / "x.png").stat().st_size > 10_000
-    with pytest.raises(CaterpillarError, match="choose another file with --out"):
+    with pytest.raises(CaterpillarError, match="choose another place with --out"):
         comparison.draw({}, tmp_path / "nowhere" / "x.png")
 
 

@@ -12,6 +12,7 @@ from baselines.records import RECORD, Point, Record, evaluations
 from baselines.training import train
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
+from evolution.files import FileError
 from evolution.fitness import Outcomes
 
 SMALL = Physics(num_segments=2, timestep_s=0.01)
@@ -168,7 +169,7 @@ def test_a_policy_learns_to_crawl_farther_than_before_and_than_at_random(tmp_pat
 
 
 def test_folder_that_holds_something_is_refused(trained):
-    with pytest.raises(TrainingError, match="is not empty; choose another with --out"):
+    with pytest.raises(FileError, match="is not empty; choose another with --out"):
         train(config(), trained[0])
 
 
@@ -203,5 +204,5 @@ def test_conditions_of_neighbouring_seeds_have_nothing_in_common(tmp_path):
 
 def test_folder_that_cannot_be_written_is_told(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(TrainingError, match="cannot write the folder"):
+    with pytest.raises(FileError, match="cannot write"):
         train(config(), tmp_path / "file" / "run")

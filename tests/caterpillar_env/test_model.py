@@ -279,7 +279,7 @@ def test_measured_strengths_take_the_place_of_drawn_ones():
     assert physics.strengths().tolist() == measured
     assert Physics.of(json.loads(json.dumps(physics.to_dict()))) == physics
     for unusable in ([1.0] * 3, [1.0, 1.0, 1.0, 0.0], [1.0, 1.0, 1.0, math.nan]):
-        with pytest.raises(PhysicsError, match="spring_strengths = .* must be 4 positive numbers"):
+        with pytest.raises(PhysicsError, match=r"spring_strengths = .* must be 4 positive numbers"):
             Physics(num_segments=2, spring_strengths=unusable)
 
 

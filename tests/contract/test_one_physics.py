@@ -7,12 +7,13 @@ import pytest
 import caterpillar_env  # noqa: F401  (registers the environments)
 from caterpillar_env import GaitTimings, Physics
 from evolution.fitness import evaluate, simulate
-from evolution.genome import decode, genes
+from evolution.genome import Encoding
 
 PERIOD_S = 2.0
 DURATION_S = 4.0
-GENOMES = np.random.default_rng(5).random((3, len(genes(4, PERIOD_S))))
-BODIES, _ = decode(GENOMES, 4, PERIOD_S)
+ENCODING = Encoding(gait_period_s=PERIOD_S)
+GENOMES = np.random.default_rng(5).random((3, len(ENCODING.genes)))
+BODIES, _ = ENCODING.decode(GENOMES)
 ACTIONS = (2 * GENOMES[:, 8:] - 1).astype(np.float32)
 KWARGS = {"gait_period_s": PERIOD_S, "episode_s": DURATION_S}
 
@@ -121,7 +122,7 @@ def test_threads_do_not_matter(reference):
 
 def test_fitness_is_what_the_environment_reports():
     """The whole episode, from genome to fitness."""
-    outcome = evaluate(GENOMES[:1], Physics(), PERIOD_S, threads=1)
+    outcome = evaluate(GENOMES[:1], ENCODING, threads=1)
     env = gymnasium.make("CaterpillarSMA-v0", morphology=BODIES[0].to_dict(), gait_period_s=PERIOD_S)
     env.reset(seed=0)
     ended, total = False, 0.0

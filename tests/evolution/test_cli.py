@@ -127,7 +127,7 @@ def test_every_error_is_one_line_and_a_status(arguments, elsewhere, capsys):
         (["evolve", "--bogus"], "--bogus"),
         (["evolve", "--population", "many"], "--population"),
         (["evolve", "--population", "-5"], "population = -5 must be at least 2"),
-        (["evolve", "--out", "full"], "full is not empty; choose another folder with --out"),
+        (["evolve", "--out", "full"], "full is not empty; choose another with --out"),
         (["replay", "nothing.json"], "cannot read nothing.json"),
         (["replay", "broken.json"], "broken.json is not JSON"),
     ],

@@ -9,13 +9,16 @@ import pytest
 from rich.console import Console
 
 from caterpillar_env.physics import Physics
-from evolution import cli, commands
+from evolution import cli
+from evolution.commands.evolve import PRESETS, _preset
+from evolution.commands.running import Reporter
+from evolution.config import RunConfig
 from evolution.evaluators import LocalEvaluator
 from evolution.individual import Individual
 from evolution.journal import FILE, Journal
 from evolution.optimizers.ga import GaConfig
 from evolution.records import table
-from evolution.run import Generation, Own, RunConfig, evolve, read_configuration
+from evolution.run import Generation, Own, evolve, read_configuration
 
 CONFIG = RunConfig(
     seed=4, generations=1, physics=Physics(num_segments=2, timestep_s=0.01, friction=0.7),
@@ -56,12 +59,12 @@ def told(number, evaluations, **failures):
 
 
 def test_paper_preset_is_the_papers_run():
-    assert commands.PRESETS["paper"] == RunConfig()
-    assert commands.PRESETS["paper"].evaluations() == 9_510
+    assert PRESETS["paper"] == RunConfig()
+    assert PRESETS["paper"].evaluations() == 9_510
 
 
 def test_quick_preset_is_small():
-    assert commands.PRESETS["quick"].evaluations() < 200
+    assert PRESETS["quick"].evaluations() < 200
 
 
 @pytest.mark.parametrize(
@@ -77,14 +80,14 @@ def test_quick_preset_is_small():
     ids=str,
 )
 def test_preset_is_found_among_the_other_flags(arguments, expected):
-    assert commands._preset(arguments) == expected
+    assert _preset(arguments) == expected
 
 
 def test_flags_change_a_preset_and_leave_the_rest_of_it(run):
     folder, _, _ = run
     with Journal(folder) as journal:
         assert read_configuration(journal) == (CONFIG, Own())
-    assert commands.PRESETS["quick"].generations != CONFIG.generations
+    assert PRESETS["quick"].generations != CONFIG.generations
 
 
 def test_evolve_records_the_same_as_the_function(run, tmp_path):
@@ -129,7 +132,7 @@ def test_robots_that_all_fail_end_in_a_sentence(elsewhere, capsys):
 def test_lines_of_a_long_run_tell_failures_and_the_time_left():
     config = RunConfig(generations=3, ga=GaConfig(population=4, hall_of_fame=1))  # 4 + 3 + 3
     spoken = io.StringIO()
-    with commands._Reporter(config, Console(file=spoken, width=200)) as reporter:
+    with Reporter(config, Console(file=spoken, width=200)) as reporter:
         reporter.progress(0.5)
         reporter.generation(told(0, 4, tipped=1, veered=2))
     line = spoken.getvalue()
@@ -142,7 +145,7 @@ def test_bar_on_a_terminal_only_moves_forwards():
     config = RunConfig(generations=3, ga=GaConfig(population=4, hall_of_fame=1))
     console = Console(file=io.StringIO(), force_terminal=True, width=120)
     done = []
-    with commands._Reporter(config, console) as reporter:
+    with Reporter(config, console) as reporter:
         for number, evaluations in enumerate((4, 7, 10)):
             for share in (0.1, 0.5, 1.0):
                 reporter.progress(share)

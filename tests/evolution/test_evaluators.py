@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from caterpillar_env.physics import Physics
-from evolution.evaluators import EvaluationError, LocalEvaluator, RayEvaluator, Task
-from evolution.fitness import Outcomes
+from evolution.evaluators import EvaluationError, LocalEvaluator, RayEvaluator
+from evolution.fitness import Outcomes, evaluate
+from evolution.genome import Encoding
 
-TASK = Task(Physics(num_segments=2, timestep_s=0.01))
+ENCODING = Encoding(Physics(num_segments=2, timestep_s=0.01))
 GENOMES = np.random.default_rng(0).random((12, 12))
 CHUNKS = [GENOMES[:5], GENOMES[5:6], GENOMES[6:]]
 
@@ -28,37 +29,37 @@ def same(one, other):
 
 @pytest.fixture(scope="module")
 def reference():
-    return TASK.evaluate(GENOMES, threads=1)
+    return evaluate(GENOMES, ENCODING, threads=1)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 4])
 def test_threads_and_chunks_do_not_matter(reference, threads):
     with LocalEvaluator(threads) as evaluator:
-        assert same(joined(evaluator.map(TASK, CHUNKS)), reference)
+        assert same(joined(evaluator.map(ENCODING, CHUNKS)), reference)
 
 
 def test_progress_runs_to_the_end_of_each_chunk():
     shares = []
     with LocalEvaluator(1) as evaluator:
-        for _ in evaluator.map(TASK, CHUNKS[:2], shares.append):
+        for _ in evaluator.map(ENCODING, CHUNKS[:2], shares.append):
             assert shares[-1] == pytest.approx(1.0)
     assert len(shares) == 600
 
 
-class Breaks(Task):
-    """A task with a bug that shows in some genomes."""
+class Breaks(Encoding):
+    """An encoding with a bug that shows in some genomes."""
 
-    def evaluate(self, genomes, **kwargs):
+    def decode(self, genomes):
         if (genomes[:, 0] > 0.9).any():
             raise ZeroDivisionError("a bug")
-        return super().evaluate(genomes, **kwargs)
+        return super().decode(genomes)
 
 
 def test_an_exception_is_told_with_its_genome():
     genomes = np.full((4, 12), 0.5)
     genomes[2, 0] = 0.95
     with pytest.raises(EvaluationError, match="ZeroDivisionError: a bug") as told:
-        list(LocalEvaluator(1).map(Breaks(TASK.physics), [genomes]))
+        list(LocalEvaluator(1).map(Breaks(ENCODING.physics), [genomes]))
     assert "0.95" in str(told.value)
 
 
@@ -85,26 +86,21 @@ def cluster():
 @needs_ray
 def test_ray_gives_the_same_bits_in_the_same_order(cluster, reference):
     with RayEvaluator() as evaluator:
-        assert same(joined(evaluator.map(TASK, CHUNKS)), reference)
+        assert same(joined(evaluator.map(ENCODING, CHUNKS)), reference)
 
 
-class KillsItsWorkers(Task):
-    """A task whose first evaluations kill the processes that they run in, halfway."""
+class KillsItsWorkers(Encoding):
+    """An encoding whose first genomes kill the processes that they are evaluated in, on the way."""
 
     marks: ClassVar[Path]
 
-    def evaluate(self, genomes, **kwargs):
-        outcomes = super().evaluate(genomes[:1], **kwargs)
+    def decode(self, genomes):
+        evaluate(genomes[:1], ENCODING, threads=1)
         for mark in (self.marks / "first", self.marks / "second"):
             if not mark.exists():
                 mark.write_text(str(os.getpid()))
                 os.kill(os.getpid(), signal.SIGKILL)
-        return Outcomes(
-            *(
-                np.concatenate(parts)
-                for parts in zip(outcomes, super().evaluate(genomes[1:], **kwargs), strict=True)
-            )
-        )
+        return super().decode(genomes)
 
 
 @needs_ray
@@ -113,7 +109,7 @@ def test_chunk_of_a_killed_worker_is_evaluated_again(cluster, reference, tmp_pat
     cluster.cloudpickle.register_pickle_by_value(sys.modules[__name__])
     KillsItsWorkers.marks = tmp_path
     with RayEvaluator() as evaluator:
-        results = list(evaluator.map(KillsItsWorkers(TASK.physics), [GENOMES] * 4))
+        results = list(evaluator.map(KillsItsWorkers(ENCODING.physics), [GENOMES] * 4))
     killed = {path.read_text() for path in tmp_path.iterdir()}
     assert len(killed) == 2
     assert len(results) == 4
@@ -125,7 +121,7 @@ def test_an_exception_on_a_worker_is_told_with_its_genome(cluster):
     genomes = np.full((4, 12), 0.5)
     genomes[2, 0] = 7.0
     with RayEvaluator() as evaluator, pytest.raises(EvaluationError, match="every gene must lie in"):
-        list(evaluator.map(TASK, [genomes]))
+        list(evaluator.map(ENCODING, [genomes]))
 
 
 def test_an_address_without_a_cluster_is_told():

@@ -9,9 +9,9 @@ from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import EPISODE_S, Crawl, Failure
+from evolution.config import RunConfig
 from evolution.fitness import Outcomes, evaluate, simulate
-from evolution.genome import GenomeError, decode
-from evolution.run import RunConfig
+from evolution.genome import Encoding, GenomeError
 
 PERIOD_S = RunConfig().gait_period_s
 SHORT = Physics(num_segments=2)
@@ -63,7 +63,7 @@ def test_distance_of_a_diverged_robot_never_becomes_fitness(distance):
 
 def test_evaluation_repeats_the_environment_bit_for_bit():
     genome = genomes(1, 20)
-    bodies, timings = decode(genome, 4, PERIOD_S)
+    bodies, timings = Encoding(Physics(), PERIOD_S).decode(genome)
     ours = simulate(bodies, timings, Physics(), threads=1, duration_s=2 * PERIOD_S)
     env = gym.make(
         "CaterpillarSMA-v0", morphology=bodies[0], gait_period_s=PERIOD_S, disable_env_checker=True
@@ -77,7 +77,7 @@ def test_evaluation_repeats_the_environment_bit_for_bit():
 
 
 def test_a_robot_crawls_for_thirty_seconds_of_simulated_time():
-    result = evaluate(genomes(1), SHORT, PERIOD_S, threads=1)
+    result = evaluate(genomes(1), Encoding(SHORT, PERIOD_S), threads=1)
     assert EPISODE_S == 30.0
     assert result.failure.tolist() == [Failure.NONE]
     assert result.simulated_s == pytest.approx(30.0)
@@ -85,7 +85,7 @@ def test_a_robot_crawls_for_thirty_seconds_of_simulated_time():
 
 
 def test_robots_do_not_feel_their_neighbours_in_the_batch_nor_the_threads():
-    bodies, timings = decode(genomes(4), 2, PERIOD_S)
+    bodies, timings = Encoding(SHORT, PERIOD_S).decode(genomes(4))
     together = simulate(bodies, timings, SHORT, threads=2, duration_s=2.0)
     for i, body in enumerate(bodies):
         gait = GaitTimings(PERIOD_S, timings.on_s[i : i + 1], timings.off_s[i : i + 1])
@@ -115,14 +115,14 @@ def test_gait_is_repeated_every_period():
 
 def test_progress_is_told_every_control_interval():
     told = []
-    bodies, timings = decode(genomes(2), 2, PERIOD_S)
+    bodies, timings = Encoding(SHORT, PERIOD_S).decode(genomes(2))
     simulate(bodies, timings, SHORT, threads=1, duration_s=1.5, on_interval=told.append)
     assert told == [None] * 15
 
 
 def test_trace_holds_every_thermal_step():
     told = []
-    bodies, timings = decode(genomes(1), 2, PERIOD_S)
+    bodies, timings = Encoding(SHORT, PERIOD_S).decode(genomes(1))
     simulate(bodies, timings, SHORT, threads=1, duration_s=0.5, on_interval=told.append, trace=True)
     assert sum(trace.temperature_c.shape[1] for trace in told) == 50
     assert {trace.temperature_c.shape[2] for trace in told} == {4}
@@ -130,7 +130,7 @@ def test_trace_holds_every_thermal_step():
 
 def test_diverged_robot_stops_at_once_and_has_finite_fitness(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo leaves its log where it runs
-    result = evaluate(genomes(2), BROKEN, PERIOD_S, threads=1)
+    result = evaluate(genomes(2), Encoding(BROKEN, PERIOD_S), threads=1)
     assert result.failure.tolist() == [Failure.DIVERGED] * 2
     assert np.all(result.simulated_s < 30.0)
     assert result.fitness().tolist() == [0.0, 0.0]
@@ -144,7 +144,7 @@ def test_distance_is_finite_even_where_the_robot_is_nowhere(monkeypatch):
         return found._replace(distance_m=np.full_like(found.distance_m, np.nan))
 
     monkeypatch.setattr(Crawl, "progress", lost)
-    bodies, timings = decode(genomes(1), 2, PERIOD_S)
+    bodies, timings = Encoding(SHORT, PERIOD_S).decode(genomes(1))
     told = simulate(bodies, timings, SHORT, threads=1, duration_s=0.1)
     assert told.distance_m.tolist() == [0.0]
 
@@ -152,7 +152,7 @@ def test_distance_is_finite_even_where_the_robot_is_nowhere(monkeypatch):
 def test_failed_robots_stop_while_sound_ones_go_on():
     # Limp, undamped necks: some of these bodies tip over within the first seconds.
     limp = Physics(num_segments=2, neck_stiffness_n_m_rad=1e-4, neck_damping_n_m_s_rad=0.0)
-    bodies, timings = decode(genomes(20), 2, 3.0)
+    bodies, timings = Encoding(SHORT, 3.0).decode(genomes(20))
     result = simulate(bodies, timings, limp, threads=2, duration_s=3.0)
     failed = result.failure != Failure.NONE
     assert 0 < failed.sum() < 20, "the scenario no longer mixes sound and failing robots"
@@ -165,21 +165,21 @@ def test_failed_robots_stop_while_sound_ones_go_on():
 @pytest.mark.parametrize("period_s", [0.25, 0.04, 3.01])
 def test_period_off_the_control_interval_is_refused(period_s):
     with pytest.raises(TimingError, match=r"multiple of 0\.1 s"):
-        evaluate(genomes(1), SHORT, period_s)
+        evaluate(genomes(1), Encoding(SHORT, period_s))
 
 
 @pytest.mark.parametrize("duration_s", [0.0, -1.0, 0.15])
 def test_duration_off_the_control_interval_is_refused(duration_s):
-    bodies, timings = decode(genomes(1), 2, PERIOD_S)
+    bodies, timings = Encoding(SHORT, PERIOD_S).decode(genomes(1))
     with pytest.raises(TimingError, match="the duration"):
         simulate(bodies, timings, SHORT, duration_s=duration_s)
 
 
 def test_negative_threads_are_refused():
     with pytest.raises(SimulationError, match="threads"):
-        evaluate(genomes(1), SHORT, PERIOD_S, threads=-1)
+        evaluate(genomes(1), Encoding(SHORT, PERIOD_S), threads=-1)
 
 
 def test_genomes_of_another_robot_are_refused():
     with pytest.raises(GenomeError, match=r"\(P, 12\)"):
-        evaluate(genomes(1, 20), SHORT, PERIOD_S)
+        evaluate(genomes(1, 20), Encoding(SHORT, PERIOD_S))

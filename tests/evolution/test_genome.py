@@ -8,7 +8,8 @@ from hypothesis.extra import numpy as hnp
 
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import LOWER, NAMES, UPPER, Morphology
-from evolution.genome import GenomeError, check, decode, genes
+from caterpillar_env.physics import Physics
+from evolution.genome import Encoding, GenomeError
 
 PERIOD_S = 3.0
 
@@ -20,7 +21,7 @@ actions_apart_from_zero = hnp.arrays(
 
 
 def test_paper_genome_has_eight_body_and_twelve_control_genes():
-    table = genes(4, PERIOD_S)
+    table = Encoding(Physics(), PERIOD_S).genes
     assert [g.name for g in table[:8]] == list(NAMES)
     assert [g.name for g in table[8:12]] == [
         "gap1_dorsal_on_s", "gap1_dorsal_off_s", "gap1_ventral_on_s", "gap1_ventral_off_s",
@@ -31,18 +32,18 @@ def test_paper_genome_has_eight_body_and_twelve_control_genes():
 
 @pytest.mark.parametrize(("num_segments", "expected"), [(2, 12), (3, 16), (4, 20), (6, 28)])
 def test_every_gap_adds_four_control_genes(num_segments, expected):
-    assert len(genes(num_segments, PERIOD_S)) == expected
+    assert len(Encoding(Physics(num_segments), PERIOD_S).genes) == expected
 
 
 def test_gene_bounds_are_those_of_body_and_period():
-    table = genes(4, 2.5)
+    table = Encoding(Physics(), 2.5).genes
     assert [g.lower for g in table[:8]] == LOWER.tolist()
     assert [g.upper for g in table[:8]] == UPPER.tolist()
     assert {(g.lower, g.upper, g.unit) for g in table[8:]} == {(0.0, 2.5, "s")}
 
 
 def test_zero_and_one_decode_to_the_bounds():
-    bodies, timings = decode(np.stack([np.zeros(20), np.ones(20)]), 4, PERIOD_S)
+    bodies, timings = Encoding(Physics(), PERIOD_S).decode(np.stack([np.zeros(20), np.ones(20)]))
     assert bodies[0].to_array().tolist() == LOWER.tolist()
     assert bodies[1].to_array().tolist() == UPPER.tolist()
     assert timings.on_s.tolist() == [[0.0] * 6, [PERIOD_S] * 6]
@@ -55,7 +56,7 @@ def test_each_gene_lands_in_its_own_place():
     genome[3] = 0.25  # m: a quarter of the way from 4 to 12 g
     genome[8:12] = [0.25, 0.5, 0.75, 1.0]  # gap 1: dorsal on, off, ventral on, off
     genome[19] = 0.125  # last gene: gap 3, ventral, off
-    bodies, timings = decode(genome[None], 4, 4.0)
+    bodies, timings = Encoding(Physics(), 4.0).decode(genome[None])
     assert bodies[0].leg_separation_m == pytest.approx(0.016, abs=1e-15)
     assert bodies[0].segment_mass_kg == pytest.approx(0.006, abs=1e-15)
     assert timings.on_s[0].tolist() == [1.0, 3.0, 0.0, 0.0, 0.0, 0.0]
@@ -65,7 +66,7 @@ def test_each_gene_lands_in_its_own_place():
 @settings(deadline=None)
 @given(unit_genomes)
 def test_any_genome_decodes_within_bounds(genomes):
-    bodies, timings = decode(genomes, 4, PERIOD_S)
+    bodies, timings = Encoding(Physics(), PERIOD_S).decode(genomes)
     values = np.stack([body.to_array() for body in bodies])
     assert np.all((values >= LOWER) & (values <= UPPER))
     for times in (timings.on_s, timings.off_s):
@@ -76,7 +77,7 @@ def test_any_genome_decodes_within_bounds(genomes):
 @settings(deadline=None)
 @given(unit_genomes)
 def test_body_survives_the_way_back_to_the_unit_cube(genomes):
-    bodies, _ = decode(genomes, 4, PERIOD_S)
+    bodies, _ = Encoding(Physics(), PERIOD_S).decode(genomes)
     for body, genome in zip(bodies, genomes, strict=True):
         np.testing.assert_allclose(body.to_unit(), genome[:8], atol=1e-12)
 
@@ -84,7 +85,7 @@ def test_body_survives_the_way_back_to_the_unit_cube(genomes):
 @settings(deadline=None, max_examples=50)
 @given(actions_apart_from_zero, st.sampled_from([0.7, 2.0, 3.0, 4.0]))
 def test_timings_survive_the_way_through_the_environments_action(genomes, period_s):
-    _, timings = decode(genomes, 4, period_s)
+    _, timings = Encoding(Physics(), period_s).decode(genomes)
     action = timings.to_action()
     assert action.dtype == np.float32
     again = GaitTimings.from_action(action, period_s)
@@ -95,36 +96,36 @@ def test_timings_survive_the_way_through_the_environments_action(genomes, period
 @settings(deadline=None)
 @given(unit_genomes)
 def test_genomes_decode_alike_alone_and_together(genomes):
-    bodies, timings = decode(genomes, 4, PERIOD_S)
+    bodies, timings = Encoding(Physics(), PERIOD_S).decode(genomes)
     for i, genome in enumerate(genomes):
-        body, gait = decode(genome[None], 4, PERIOD_S)
+        body, gait = Encoding(Physics(), PERIOD_S).decode(genome[None])
         assert body[0] == bodies[i]
         np.testing.assert_array_equal(gait.on_s[0], timings.on_s[i])
         np.testing.assert_array_equal(gait.off_s[0], timings.off_s[i])
 
 
 def test_no_genomes_decode_to_no_robots():
-    bodies, timings = decode(np.empty((0, 20)), 4, PERIOD_S)
+    bodies, timings = Encoding(Physics(), PERIOD_S).decode(np.empty((0, 20)))
     assert bodies == []
     assert timings.on_s.shape == (0, 6)
 
 
 def test_decoding_leaves_the_genomes_alone():
     genomes = np.full((2, 20), 0.3)
-    decode(genomes, 4, PERIOD_S)
+    Encoding(Physics(), PERIOD_S).decode(genomes)
     assert np.all(genomes == 0.3)
 
 
 def test_nominal_body_is_reached_from_its_unit_values():
     genome = np.concatenate([Morphology().to_unit(), np.zeros(12)])
-    bodies, _ = decode(genome[None], 4, PERIOD_S)
+    bodies, _ = Encoding(Physics(), PERIOD_S).decode(genome[None])
     np.testing.assert_allclose(bodies[0].to_array(), Morphology().to_array(), rtol=1e-12)
 
 
 @pytest.mark.parametrize("shape", [(20,), (2, 19), (2, 21), (1, 2, 20), ()])
 def test_wrong_shape_is_refused_and_both_shapes_named(shape):
     with pytest.raises(GenomeError, match=r"shape \(P, 20\); got \("):
-        decode(np.zeros(shape), 4, PERIOD_S)
+        Encoding(Physics(), PERIOD_S).decode(np.zeros(shape))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1e-12, 1 + 1e-12, 7.0])
@@ -132,14 +133,14 @@ def test_value_outside_the_unit_interval_is_refused_and_located(value):
     genomes = np.full((3, 20), 0.5)
     genomes[2, 11] = value
     with pytest.raises(GenomeError, match="gene 11 of genome 2"):
-        check(genomes, 20)
+        Encoding().check(genomes)
 
 
 # Other kinds of genome
 
 
 def test_full_genome_times_every_spring():
-    table = genes(4, PERIOD_S, "full")
+    table = Encoding(Physics(), PERIOD_S, "full").genes
     assert len(table) == 32
     assert [g.name for g in table[8:12]] == [
         "gap1_dorsal_left_on_s", "gap1_dorsal_left_off_s",
@@ -147,7 +148,7 @@ def test_full_genome_times_every_spring():
     ]  # fmt: skip
     genome = np.zeros((1, 32))
     genome[0, 10:12] = 0.5, 1.0
-    bodies, timings = decode(genome, 4, 4.0, "full")
+    bodies, timings = Encoding(Physics(), 4.0, "full").decode(genome)
     assert isinstance(bodies[0], Morphology)
     assert timings.on_s.tolist() == [[0.0, 2.0] + [0.0] * 10]
     assert timings.off_s.tolist() == [[0.0, 4.0] + [0.0] * 10]
@@ -155,11 +156,11 @@ def test_full_genome_times_every_spring():
 
 @pytest.mark.parametrize(("num_segments", "expected"), [(2, 20), (4, 44), (6, 68)])
 def test_per_segment_genome_has_a_body_for_every_segment(num_segments, expected):
-    table = genes(num_segments, PERIOD_S, "per-segment")
+    table = Encoding(Physics(num_segments), PERIOD_S, "per-segment").genes
     assert len(table) == expected == len({g.name for g in table})
     assert [g.name for g in table[8:10]] == ["segment2_leg_separation_m", "segment2_segment_length_m"]
     unit = np.random.default_rng(0).random((2, expected))
-    bodies, timings = decode(unit, num_segments, PERIOD_S, "per-segment")
+    bodies, timings = Encoding(Physics(num_segments), PERIOD_S, "per-segment").decode(unit)
     assert timings.on_s.shape == (2, 2 * (num_segments - 1))
     for row, body in zip(unit, bodies, strict=True):
         assert len(body) == num_segments
@@ -170,4 +171,4 @@ def test_per_segment_genome_has_a_body_for_every_segment(num_segments, expected)
 @pytest.mark.parametrize(("kind", "size"), [("full", 20), ("per-segment", 32), ("shared", 44)])
 def test_genome_of_another_kind_is_refused(kind, size):
     with pytest.raises(GenomeError, match=r"genomes must have shape \(P, "):
-        decode(np.zeros((1, size)), 4, PERIOD_S, kind)
+        Encoding(Physics(), PERIOD_S, kind).decode(np.zeros((1, size)))

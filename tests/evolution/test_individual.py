@@ -10,9 +10,10 @@ from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure, label
+from evolution.config import RunConfig
 from evolution.fitness import evaluate
+from evolution.genome import Encoding
 from evolution.individual import FORMAT, Individual, IndividualError
-from evolution.run import RunConfig
 
 PERIOD_S = RunConfig().gait_period_s
 SHORT = Physics(num_segments=2, mismatch_seed=3, timestep_s=0.01)
@@ -21,7 +22,7 @@ GENOME = np.random.default_rng(2).random(12)
 
 @pytest.fixture
 def individual():
-    return Individual.of_genome(GENOME, SHORT, PERIOD_S, fitness_m=0.0123, generation=7)
+    return Individual.of_genome(GENOME, Encoding(SHORT, PERIOD_S), fitness_m=0.0123, generation=7)
 
 
 def changed(individual, path, value):
@@ -70,7 +71,7 @@ def test_json_names_units_and_pairs(individual):
 def test_loaded_robot_crawls_as_its_genome_did(individual, tmp_path):
     individual.save(tmp_path / "best.json")
     again = Individual.load(tmp_path).simulate(threads=1)
-    ours = evaluate(GENOME[None], SHORT, PERIOD_S, threads=1)
+    ours = evaluate(GENOME[None], Encoding(SHORT, PERIOD_S), threads=1)
     assert again.distance_m[0] == ours.distance_m[0] != 0.0
     assert again.energy_j[0] == ours.energy_j[0]
 
@@ -78,16 +79,16 @@ def test_loaded_robot_crawls_as_its_genome_did(individual, tmp_path):
 @pytest.mark.parametrize(("kind", "size"), [("full", 16), ("per-segment", 20)])
 def test_robots_of_other_genomes_come_back_too(tmp_path, kind, size):
     genome = np.random.default_rng(2).random(size)
-    Individual.of_genome(genome, SHORT, PERIOD_S, kind).save(tmp_path / "best.json")
+    Individual.of_genome(genome, Encoding(SHORT, PERIOD_S, kind)).save(tmp_path / "best.json")
     again = Individual.load(tmp_path).simulate(threads=1)
-    ours = evaluate(genome[None], SHORT, PERIOD_S, kind, threads=1)
+    ours = evaluate(genome[None], Encoding(SHORT, PERIOD_S, kind), threads=1)
     assert again.distance_m[0] == ours.distance_m[0] != 0.0
 
 
 def test_json_names_segments_and_springs():
-    whole = Individual.of_genome(np.full(16, 0.3), SHORT, PERIOD_S, "full").to_dict()
+    whole = Individual.of_genome(np.full(16, 0.3), Encoding(SHORT, PERIOD_S, "full")).to_dict()
     assert list(whole["gait"]["springs"])[:2] == ["gap1_dorsal_left", "gap1_dorsal_right"]
-    parts = Individual.of_genome(np.full(20, 0.3), SHORT, PERIOD_S, "per-segment").to_dict()
+    parts = Individual.of_genome(np.full(20, 0.3), Encoding(SHORT, PERIOD_S, "per-segment")).to_dict()
     assert len(parts["morphology"]) == 2
     del parts["morphology"][1]
     with pytest.raises(CaterpillarError, match="one morphology for all of them, or a tuple of 2; got 1"):

@@ -11,9 +11,11 @@ from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from evolution import plots
+from evolution.config import RunConfig
+from evolution.genome import Encoding
 from evolution.individual import Individual
 from evolution.preprocessor import paper_priors
-from evolution.run import Generation, RunConfig
+from evolution.run import Generation
 
 PERIOD_S = RunConfig().gait_period_s
 REASONS = ("diverged", "flipped", "tipped", "jumped", "veered")
@@ -81,7 +83,7 @@ def test_gait_shows_the_timings(tmp_path):
 
 
 def test_densities_of_all_genes_are_drawn(tmp_path):
-    priors = paper_priors(Physics(num_segments=2), PERIOD_S)
+    priors = paper_priors(Encoding(Physics(num_segments=2), PERIOD_S))
     plots.save(plots.densities(priors), tmp_path / "densities.png")
     picture(tmp_path / "densities.png")
 

@@ -7,7 +7,7 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import PARAMETERS
 from caterpillar_env.physics import Physics
 from evolution.distributions import TruncatedGaussian, Uniform
-from evolution.genome import Gene
+from evolution.genome import Encoding, Gene
 from evolution.preprocessor import (
     GRAVITY_M_S2,
     PITCH_ANGLES,
@@ -26,7 +26,7 @@ A, B, C = (Gene(name, name, "m", 0.0, 1.0, name) for name in ("a", "b", "c"))
 
 
 def table_one(**kwargs):
-    rows = paper_priors(Physics(**kwargs), 3.0)
+    rows = paper_priors(Encoding(Physics(**kwargs), 3.0))
     return {row.gene.name: row for row in rows}
 
 
@@ -173,7 +173,7 @@ def test_longer_robot_has_the_same_table_with_more_timings():
 
 def test_every_segment_of_its_own_has_the_same_rules():
     shared = table_one()
-    rows = paper_priors(Physics(), 3.0, kind="per-segment")
+    rows = paper_priors(Encoding(Physics(), 3.0, "per-segment"))
     assert len(rows) == 44
     for row in rows[:32]:
         segment, name = row.gene.name.split("_", 1)
@@ -183,7 +183,7 @@ def test_every_segment_of_its_own_has_the_same_rules():
 
 
 def test_single_springs_are_as_free_as_pairs():
-    rows = {r.gene.name: r for r in paper_priors(Physics(), 3.0, kind="full")}
+    rows = {r.gene.name: r for r in paper_priors(Encoding(Physics(), 3.0, "full"))}
     assert len(rows) == 32
     for name, row in table_one().items():
         if name in rows:
@@ -200,7 +200,7 @@ def test_without_spring_force_the_lift_wants_short_and_light_segments():
 
 
 def test_floor_ratio_narrows_the_gaussians():
-    rows = paper_priors(Physics(), 3.0, floor_ratio=10.0)
+    rows = paper_priors(Encoding(Physics(), 3.0), floor_ratio=10.0)
     row = next(r for r in rows if r.gene.name == "leg_separation_m")
     # 1 / sqrt(2 ln 10) = 0.4659906
     assert row.distribution.sigma == pytest.approx(0.4659906, rel=1e-6)
@@ -209,11 +209,11 @@ def test_floor_ratio_narrows_the_gaussians():
 @pytest.mark.parametrize("ratio", [1.0, 0.5, -3.0, np.nan, np.inf])
 def test_floor_ratio_that_makes_no_gaussian_is_refused(ratio):
     with pytest.raises(CaterpillarError, match="floor_ratio"):
-        paper_priors(Physics(), 3.0, floor_ratio=ratio)
+        paper_priors(Encoding(Physics(), 3.0), floor_ratio=ratio)
 
 
 def test_rows_as_json_are_in_the_genes_unit():
-    rows = {r.gene.name: r.to_dict() for r in paper_priors(Physics(), 3.0)}
+    rows = {r.gene.name: r.to_dict() for r in paper_priors(Encoding(Physics(), 3.0))}
     wide = rows["leg_separation_m"]  # 8 to 24 mm, peak at the upper bound
     assert set(wide) == {
         "gene", "symbol", "unit", "kind", "mu", "sigma", "lower", "upper", "reason",

@@ -9,13 +9,14 @@ import pytest
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
 from evolution import cli
+from evolution.config import RunConfig
 from evolution.evaluators import LocalEvaluator
 from evolution.fitness import Outcomes
 from evolution.individual import Individual
 from evolution.journal import FILE, Journal, JournalError
 from evolution.optimizers.ga import GaConfig
 from evolution.records import leaders, table
-from evolution.run import RunConfig, evolve
+from evolution.run import evolve
 
 CONFIG = RunConfig(
     seed=4, generations=2, physics=Physics(num_segments=2, timestep_s=0.01),
@@ -64,7 +65,7 @@ def test_export_goes_beside_the_journal_and_best_robot_is_in_it(runs):
     [
         (["export", "nowhere"], "it is no run folder"),
         (["export", "done", "--to", "xlsx"], "--to"),
-        (["export", "done", "--out", "missing/rows.csv"], "choose another file with --out"),
+        (["export", "done", "--out", "missing/rows.csv"], "choose another place with --out"),
         (["export", "damaged"], "is damaged"),
         (["runs", "nowhere"], "is no folder"),
     ],
@@ -117,7 +118,7 @@ def test_leaders_are_the_best_so_far_and_crawl_as_recorded(runs):
 
 def test_as_long_as_all_fail_the_one_that_came_furthest_leads(tmp_path):
     rng = np.random.default_rng(0)
-    genomes = rng.random((6, len(CONFIG.genes())))
+    genomes = rng.random((6, len(CONFIG.encoding.genes)))
     outcomes = Outcomes(
         np.array([Failure.VEERED, Failure.DIVERGED, Failure.TIPPED, 0, 0, 0]),
         np.array([0.01, 0.0, 0.05, -0.01, 0.002, 0.001]),

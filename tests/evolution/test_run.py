@@ -11,8 +11,10 @@ from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
+from evolution.config import ConfigError, RunConfig
 from evolution.distributions import ClampedGaussian, TruncatedGaussian, Uniform
 from evolution.evaluators import EvaluationError, LocalEvaluator
+from evolution.files import FileError
 from evolution.fitness import simulate
 from evolution.individual import Individual
 from evolution.journal import Journal, fingerprint
@@ -20,7 +22,7 @@ from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig
 from evolution.optimizers.random_search import RandomSearch
 from evolution.records import table
-from evolution.run import Own, RunConfig, RunError, evolve, history, read_configuration, resume
+from evolution.run import Own, RunError, evolve, history, read_configuration, resume
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
 #: So stiff, and so coarsely stepped, that every robot's integration breaks down at once.
@@ -256,7 +258,7 @@ def test_a_robot_that_failed_is_never_the_best(tmp_path, monkeypatch):
 
 def test_folder_that_holds_something_is_refused_and_left_alone(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(RunError, match="is not empty; choose another"):
+    with pytest.raises(FileError, match="is not empty; choose another"):
         evolve(TINY, tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
@@ -264,7 +266,7 @@ def test_folder_that_holds_something_is_refused_and_left_alone(tmp_path):
 def test_folder_below_a_file_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     for folder in (tmp_path / "file", tmp_path / "file" / "run"):
-        with pytest.raises(RunError, match="cannot write the run folder") as refused:
+        with pytest.raises(FileError, match="cannot write") as refused:
             evolve(TINY, folder)
         assert "\n" not in str(refused.value)
 
@@ -324,7 +326,7 @@ def test_configuration_survives_json():
         optimizer="cma-es", prior="uniform", cma=CmaConfig(cma_population=9), physics=SHORT
     )  # fmt: skip
     assert RunConfig.from_dict(config.to_dict()) == config
-    with pytest.raises(RunError, match="no such fields of a run's configuration: luck"):
+    with pytest.raises(ConfigError, match="no such fields of a run's configuration: luck"):
         RunConfig.from_dict({**config.to_dict(), "luck": 1})
 
 

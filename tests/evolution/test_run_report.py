@@ -12,6 +12,7 @@ import pytest
 
 from caterpillar_env.physics import Physics
 from evolution import cli, run_report
+from evolution.config import RunConfig
 from evolution.evaluators import LocalEvaluator
 from evolution.fitness import Outcomes
 from evolution.individual import Individual
@@ -19,7 +20,7 @@ from evolution.journal import FILE, Journal
 from evolution.optimizers.cma_es import CmaConfig
 from evolution.optimizers.ga import GaConfig
 from evolution.records import table
-from evolution.run import RunConfig, evolve
+from evolution.run import evolve
 from evolution.video import Recording, VideoConfig, write_video
 
 CONFIG = RunConfig(
@@ -97,7 +98,7 @@ def test_genes_are_those_of_the_best_robot_between_its_bounds(folder, page):
     record = run_report.Record.read(folder)
     rows = run_report.gene_rows(record)
     said = table(folder).row(record.winner.number, named=True)
-    for row, gene in zip(rows, CONFIG.genes(), strict=True):
+    for row, gene in zip(rows, CONFIG.encoding.genes, strict=True):
         factor = {"m": 1e3, "kg": 1e3, "rad": 180 / np.pi, "s": 1.0}[gene.unit]
         assert row.value == pytest.approx(factor * said[gene.name], rel=1e-12)
         assert row.lower <= row.value <= row.upper
@@ -187,7 +188,7 @@ def test_runs_of_every_kind_have_a_page(config, said, tmp_path):
     page = ran(tmp_path / "run", config)
     assert said in page
     assert number(page, "best-m") == Individual.load(tmp_path / "run").fitness_m
-    assert page.count('<svg class="bar"') == len(config.genes())
+    assert page.count('<svg class="bar"') == len(config.encoding.genes)
 
 
 def test_uniform_priors_are_told_as_uniform(tmp_path):

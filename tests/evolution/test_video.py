@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from caterpillar_env import rendering
+from caterpillar_env.drawing import rendering
 from caterpillar_env.drawing.rendering import RenderingError
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
+from evolution.config import RunConfig
 from evolution.individual import Individual
-from evolution.run import RunConfig
 from evolution.video import Recording, VideoConfig, VideoError, _times, write_video
 
 # imageio-ffmpeg leaves the pipes of its readers, and of writers that failed, to the collector.

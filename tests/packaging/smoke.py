@@ -30,7 +30,7 @@ for name in ("CaterpillarSMA-v0", "CaterpillarSMASwitch-v0"):
     env.step(env.action_space.sample())
     env.close()
 
-from evolution.study import preset  # noqa: E402
+from evolution.study.config import preset  # noqa: E402
 
 assert len(preset("pilot").cells()) > 1, "a preset was not packed"
 

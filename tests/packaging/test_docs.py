@@ -11,7 +11,7 @@ import pytest
 
 from caterpillar_env import CaterpillarEnv
 from evolution import cli
-from evolution.study import read_toml
+from evolution.study.config import read_toml
 
 ROOT = Path(__file__).parents[2]
 SITE = [page for page in sorted((ROOT / "docs").rglob("*.md")) if "_build" not in page.parts]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from importlib import import_module
 
 from caterpillar_env.errors import CaterpillarError
 
@@ -32,11 +33,7 @@ def rl_command(argv: Sequence[str]) -> int:
         raise CaterpillarError(
             "reinforcement learning needs stable-baselines3: pip install 'caterpillar-sma[rl]'"
         ) from None
-    from baselines import subcommands
-
-    command = {
-        "train": subcommands.train_command,
-        "eval": subcommands.eval_command,
-        "compare": subcommands.compare_command,
-    }
-    return command[name](rest)
+    command: Callable[[Sequence[str]], int] = getattr(
+        import_module(f"baselines.commands.{name}"), f"{name}_command"
+    )
+    return command(rest)

@@ -4,8 +4,10 @@ import numpy as np
 import polars
 import pytest
 
-from evolution.analysis import Winner, analyse, arrival, headline
-from evolution.study import StudyConfig
+from evolution.study.analysis import analyse, arrival
+from evolution.study.config import StudyConfig
+from evolution.study.headline import headline
+from evolution.study.winners import Winner
 
 CONFIG = StudyConfig.from_dict(
     {

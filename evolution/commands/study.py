@@ -1,8 +1,7 @@
-"""The subcommands `study` and `report`."""
+"""`caterpillar study`."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,10 +15,10 @@ from rich.progress import Progress as Bar
 from rich.text import Text
 
 from caterpillar_env.errors import CaterpillarError
-from evolution import cli, machine, study
-from evolution.cells import Processes, Progress, RayTasks, Workers, run_study
-from evolution.commands import picture
-from evolution.journal import FILE as JOURNAL
+from evolution import cli, machine
+from evolution.commands.report import write_report
+from evolution.study.cells import Processes, Progress, RayTasks, Workers, run_study
+from evolution.study.config import begin, preset, read_toml
 
 
 @dataclass(frozen=True)
@@ -47,9 +46,9 @@ def study_command(argv: Sequence[str]) -> int:
     args = cli.parse(StudyArgs, argv, "study")
     if (args.file is None) == (args.preset is None):
         raise CaterpillarError("give either a TOML file or --preset paper, ablation, pilot or rl-pilot")
-    config = study.read_toml(args.file) if args.file else study.preset(str(args.preset))
+    config = read_toml(args.file) if args.file else preset(str(args.preset))
     folder = args.out or Path("studies") / (args.file.stem if args.file else str(args.preset))
-    study.begin(config, folder)
+    begin(config, folder)
     workers: Workers
     if args.evaluator == "ray":
         workers = RayTasks(args.ray_address)
@@ -64,7 +63,7 @@ def study_command(argv: Sequence[str]) -> int:
         return 130
     for cell, error in failed:
         console.print(f"{cell.arm} seed {cell.seed} failed: {error}")
-    _report(folder, console, look_again=args.winners)
+    write_report(folder, console, look_again=args.winners)
     return 1 if failed else 0
 
 
@@ -114,57 +113,3 @@ class _Display:
                 f"{progress.finished} of {progress.cells} runs, {100 * progress.spent:.0f} %{eta};"
                 + ";".join(lines),
             )
-
-
-@dataclass(frozen=True)
-class ReportArgs:
-    """Write figures and report.html of a run, or of what is finished of a study."""
-
-    folder: Annotated[Path, tyro.conf.Positional]
-    """The folder of the run or the study."""
-    video: bool = True
-    """Of a run: make best.mp4, where it is not there or of an earlier robot."""
-    winners: bool = True
-    """Of a study: look at each arm's best robot again, where that is not done yet: minutes."""
-
-
-def report_command(argv: Sequence[str]) -> int:
-    """`caterpillar report`."""
-    args = cli.parse(ReportArgs, argv, "report")
-    console = cli.console()
-    if (args.folder / study.SETTINGS).is_file():
-        _report(args.folder, console, look_again=args.winners)
-    elif (args.folder / JOURNAL).is_file():
-        page = picture(args.folder, console, video=args.video)
-        print(f"written: {page}", file=sys.stderr)
-    else:
-        raise CaterpillarError(
-            f"{args.folder} holds neither a run ({JOURNAL}) nor a study ({study.SETTINGS}); give the "
-            "folder that caterpillar evolve or caterpillar study made"
-        )
-    return 0
-
-
-def _report(folder: Path, console: Console, *, look_again: bool) -> None:
-    from evolution import analysis, report
-
-    config = study.load(folder)
-    frame, missing = study.collect(config, folder)
-    if frame.is_empty():
-        raise CaterpillarError(
-            f"no run of {folder} is finished yet; go on with caterpillar study, or see caterpillar runs "
-            f"{folder}"
-        )
-    found = analysis.analyse(config, frame, missing, study.thresholds(config, folder, frame))
-    different = study.versions(config, folder)
-    if len(different) > 1:
-        console.print(
-            f"warning: runs were made under {len(different)} different sets of versions or machines "
-            "(table sessions of their journals): bits differ, and perhaps more",
-        )
-    if look_again:
-        console.print("looking at the best robots again ...")
-    best = analysis.winners(config, folder) if look_again else []
-    page = report.write(found, frame, best, folder)
-    print("\n".join(analysis.headline(found)))
-    print(f"written: {page}", file=sys.stderr)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from evolution import cli
+from evolution.commands import validate
 from evolution.fitness import Outcomes
-from evolution.validation import command, convergence, golden
+from evolution.validation import convergence, golden
 from evolution.validation.check import at_most, same
 
 PLOTS = ("sma.png", "timestep.png")
@@ -37,7 +38,7 @@ def canned(monkeypatch, *, weight_n, golden_passes):
         "mechanics": lambda: [at_most("weight", 1.0, weight_n, "N")],
         "golden trajectories": lambda: [same("path", True, golden_passes)],
     }
-    monkeypatch.setattr(command, "groups", lambda *, quick: groups)
+    monkeypatch.setattr(validate, "groups", lambda *, quick: groups)
 
 
 def test_a_failed_check_is_shown_and_sets_the_exit_status(tmp_path, capsys, monkeypatch):
@@ -64,4 +65,4 @@ def test_all_passing_is_status_0(tmp_path, capsys, monkeypatch):
 def test_a_file_in_the_way_of_the_folder_is_told(tmp_path, capsys):
     (tmp_path / "v").write_text("")
     assert cli.main(["validate", "--quick", "--out", str(tmp_path / "v")]) != 0
-    assert "choose another --out" in " ".join(capsys.readouterr().err.split())
+    assert "choose another place with --out" in " ".join(capsys.readouterr().err.split())

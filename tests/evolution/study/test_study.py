@@ -12,12 +12,23 @@ import polars
 import pytest
 
 from caterpillar_env.errors import CaterpillarError
-from evolution import cli, study
-from evolution.analysis import analyse, headline
-from evolution.arms import ArmError
-from evolution.cells import Processes, RayTasks, run_study
+from evolution import cli
 from evolution.journal import Journal, is_in_use
-from evolution.study import Cell, Course, StudyConfig, StudyError
+from evolution.study.analysis import analyse
+from evolution.study.arms import ArmError
+from evolution.study.cells import Processes, RayTasks, run_study
+from evolution.study.config import (
+    Cell,
+    StudyConfig,
+    StudyError,
+    begin,
+    is_finished,
+    load,
+    preset,
+    read_toml,
+)
+from evolution.study.headline import headline
+from evolution.study.results import DATA, Course, collect, courses, thresholds, versions
 
 SMALL = {
     "seeds": [0, 1],
@@ -72,7 +83,7 @@ def finished(tmp_path_factory):
 
 def test_toml_and_plain_data_describe_the_same_study(tmp_path):
     (tmp_path / "small.toml").write_text(TOML)
-    assert study.read_toml(tmp_path / "small.toml") == StudyConfig.from_dict(SMALL)
+    assert read_toml(tmp_path / "small.toml") == StudyConfig.from_dict(SMALL)
 
 
 def test_a_study_survives_json():
@@ -90,14 +101,14 @@ def test_arms_are_what_they_have_in_common_and_what_is_special():
 
 @pytest.mark.parametrize("name", ["paper", "ablation", "pilot"])
 def test_presets_are_whole(name):
-    config = study.preset(name)
+    config = preset(name)
     assert {"ga-uniform", "ga-preprocessed"} <= set(config.arms)
     assert not set(config.seeds) & set(config.pilot_seeds)
 
 
 def test_pilot_holds_the_controls():
     assert {"ga-mirrored", "random-preprocessed", "cma-es-uniform", "cma-es-preprocessed"} <= set(
-        study.preset("pilot").arms
+        preset("pilot").arms
     )
 
 
@@ -144,7 +155,7 @@ def test_unusable_studies_are_refused(data, message):
 
 
 def test_a_finished_study_is_never_run_again(finished):
-    config = study.load(finished)
+    config = load(finished)
     before = {p: p.stat().st_mtime_ns for p in finished.glob("cells/**/journal.sqlite")}
     assert len(before) == len(config.cells())
     assert run_study(config, finished, Processes(2)) == []
@@ -152,8 +163,8 @@ def test_a_finished_study_is_never_run_again(finished):
 
 
 def test_every_run_spends_its_budget_and_stops(finished):
-    config = study.load(finished)
-    frame, missing = study.collect(config, finished)
+    config = load(finished)
+    frame, missing = collect(config, finished)
     assert not missing
     spent = frame.group_by("arm", "seed").agg(polars.col("simulated_s").sum())
     assert len(spent) == 5
@@ -163,8 +174,8 @@ def test_every_run_spends_its_budget_and_stops(finished):
 
 @pytest.mark.slow
 def test_a_study_that_was_killed_goes_on_to_the_same_end(finished, tmp_path):
-    config = study.load(finished)
-    study.begin(config, tmp_path / "again")
+    config = load(finished)
+    begin(config, tmp_path / "again")
     workers = Processes(2)
     seen = []
 
@@ -175,32 +186,32 @@ def test_a_study_that_was_killed_goes_on_to_the_same_end(finished, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         run_study(config, tmp_path / "again", workers, stop)
-    assert len(study.collect(config, tmp_path / "again")[1]) > 0
+    assert len(collect(config, tmp_path / "again")[1]) > 0
     assert run_study(config, tmp_path / "again", Processes(2)) == []
     ours, theirs = (
-        study.collect(config, folder)[0].drop("wall_s") for folder in (tmp_path / "again", finished)
+        collect(config, folder)[0].drop("wall_s") for folder in (tmp_path / "again", finished)
     )
     assert ours.equals(theirs)
 
 
 def test_a_run_that_fails_is_told_and_keeps_none_of_the_others(finished, tmp_path):
     config = StudyConfig.from_dict(changed(seeds=[0], arms={"ga-uniform": {"prior": "uniform"}}))
-    study.begin(config, tmp_path)
+    begin(config, tmp_path)
     broken = Cell("ga-uniform", 8).folder(tmp_path)
     broken.mkdir(parents=True)
     (broken / "journal.sqlite").write_text("not a journal")
     ((cell, error),) = run_study(config, tmp_path, Processes(2))
     assert cell == Cell("ga-uniform", 8)
     assert "is damaged" in error
-    assert study.is_finished(config, Cell("ga-uniform", 0), tmp_path)
+    assert is_finished(config, Cell("ga-uniform", 0), tmp_path)
 
 
 def test_progress_of_a_run_is_read_from_outside(finished):
-    config = study.load(finished)
+    config = load(finished)
     cell = config.cells()[0]
     standing = config.arms[cell.arm].standing
     now = standing(cell.folder(finished))
-    rows = study.collect(config, finished)[0].filter(
+    rows = collect(config, finished)[0].filter(
         (polars.col("arm") == cell.arm) & (polars.col("seed") == cell.seed)
     )
     assert now.simulated_s == pytest.approx(rows["simulated_s"].sum())
@@ -209,41 +220,41 @@ def test_progress_of_a_run_is_read_from_outside(finished):
 
 def test_another_study_in_the_same_folder_is_refused(finished):
     with pytest.raises(StudyError, match=r"a study with other budget_s"):
-        study.begin(StudyConfig.from_dict(changed(budget_s=300)), finished)
+        begin(StudyConfig.from_dict(changed(budget_s=300)), finished)
     arms = {**SMALL["arms"], "cma-es": {"optimizer": "random"}}
     with pytest.raises(StudyError, match=r"a study with other arms\.cma-es"):
-        study.begin(StudyConfig.from_dict(changed(arms=arms)), finished)
+        begin(StudyConfig.from_dict(changed(arms=arms)), finished)
 
 
 def test_cells_of_other_settings_are_never_taken_for_this_studys(finished, tmp_path):
     shutil.copytree(finished, tmp_path / "copy")
     arms = {"ga-uniform": SMALL["arms"]["ga-uniform"]}
     fewer = StudyConfig.from_dict(changed(arms=arms))
-    study.begin(fewer, tmp_path / "copy")
+    begin(fewer, tmp_path / "copy")
     other = StudyConfig.from_dict(changed(arms={**arms, "cma-es": {"optimizer": "random"}}))
-    study.begin(other, tmp_path / "copy")
+    begin(other, tmp_path / "copy")
     with pytest.raises(ArmError, match=r"cma-es/seed-0 was run with other settings"):
-        study.collect(other, tmp_path / "copy")
+        collect(other, tmp_path / "copy")
 
 
 def test_table_never_loses_runs_that_are_not_there_any_more(finished, tmp_path):
     shutil.copytree(finished, tmp_path / "copy")
-    config = study.load(finished)
+    config = load(finished)
     for cell in config.cells()[1:]:
         shutil.rmtree(cell.folder(tmp_path / "copy"))
-    frame, missing = study.collect(config, tmp_path / "copy")
+    frame, missing = collect(config, tmp_path / "copy")
     assert not missing
     key = ["arm", "seed", "evaluation"]
-    assert frame.sort(key).equals(study.collect(config, finished)[0].sort(key))
+    assert frame.sort(key).equals(collect(config, finished)[0].sort(key))
 
 
 def test_looking_at_a_study_does_not_disturb_its_runs(finished):
-    config = study.load(finished)
+    config = load(finished)
     with Journal(config.cells()[0].folder(finished)):
-        assert study.is_finished(config, config.cells()[0], finished)
-        assert study.collect(config, finished)[1] == []
+        assert is_finished(config, config.cells()[0], finished)
+        assert collect(config, finished)[1] == []
         assert cli.main(["report", str(finished), "--no-winners"]) == 0
-    assert len(study.versions(config, finished)) == 1
+    assert len(versions(config, finished)) == 1
 
 
 @pytest.mark.slow
@@ -270,10 +281,10 @@ def test_cells_on_ray_give_the_same_bits(finished, tmp_path):
     pytest.importorskip("ray")
     arms = {"ga-uniform": SMALL["arms"]["ga-uniform"]}
     config = StudyConfig.from_dict(changed(arms=arms, seeds=[0]))
-    study.begin(config, tmp_path / "ray")
+    begin(config, tmp_path / "ray")
     assert run_study(config, tmp_path / "ray", RayTasks()) == []
-    ours, missing = study.collect(config, tmp_path / "ray")
-    theirs, _ = study.collect(config, finished)
+    ours, missing = collect(config, tmp_path / "ray")
+    theirs, _ = collect(config, finished)
     assert not missing
     assert ours.drop("wall_s").equals(theirs.drop("wall_s"))
 
@@ -281,27 +292,25 @@ def test_cells_on_ray_give_the_same_bits(finished, tmp_path):
 def test_folder_of_something_else_is_refused(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(StudyError, match="is not empty and holds no study"):
-        study.begin(StudyConfig.from_dict(SMALL), tmp_path)
+        begin(StudyConfig.from_dict(SMALL), tmp_path)
 
 
 # What it amounts to
 
 
 def test_thresholds_come_from_the_pilot_seeds_and_stay(finished):
-    config = study.load(finished)
-    frame, _ = study.collect(config, finished)
+    config = load(finished)
+    frame, _ = collect(config, finished)
     rows = frame.filter((polars.col("seed") == 8) & (polars.col("failure") == "ok"))
-    top = study.courses(frame, config, (8,))["ga-uniform"][0].best_m[-1]
+    top = courses(frame, config, (8,))["ga-uniform"][0].best_m[-1]
     assert rows["distance_m"].max() >= top > 0
-    assert study.thresholds(config, finished, frame) == pytest.approx([0.5 * top, 0.75 * top, top])
-    assert study.thresholds(config, finished, frame.clear()) == pytest.approx(
-        [0.5 * top, 0.75 * top, top]
-    )
+    assert thresholds(config, finished, frame) == pytest.approx([0.5 * top, 0.75 * top, top])
+    assert thresholds(config, finished, frame.clear()) == pytest.approx([0.5 * top, 0.75 * top, top])
 
 
 def test_pilot_seeds_are_in_no_table(finished):
-    config = study.load(finished)
-    frame, missing = study.collect(config, finished)
+    config = load(finished)
+    frame, missing = collect(config, finished)
     found = analyse(config, frame, missing, [0.001])
     assert {c.seed for courses in found.courses.values() for c in courses} == {0, 1}
     assert {row.runs for row in found.finals} == {2}
@@ -336,7 +345,7 @@ def test_evaluations_beyond_the_budget_do_not_count():
             "simulated_s": [10.0, 4.0, 16.0, 10.0],
         }
     )  # fmt: skip
-    (course,) = study.courses(frame, config, (0, 1))["cma-es"]
+    (course,) = courses(frame, config, (0, 1))["cma-es"]
     assert course.spent_s.tolist() == [10.0, 14.0, 30.0]
     assert course.generations == 1  # the second is not through
     assert course.best_m.tolist() == [0.01, 0.01, 0.01]
@@ -352,7 +361,7 @@ def test_report_is_one_page_with_all_arms(finished):
 
 
 def test_report_can_be_made_again_from_the_table_alone(finished, tmp_path, capsys):
-    for name in ("study.json", "thresholds.json", study.DATA):
+    for name in ("study.json", "thresholds.json", DATA):
         (tmp_path / name).write_bytes((finished / name).read_bytes())
     assert cli.main(["report", str(finished), "--no-winners"]) == 0
     first = capsys.readouterr().out
@@ -362,8 +371,8 @@ def test_report_can_be_made_again_from_the_table_alone(finished, tmp_path, capsy
 
 
 def test_unfinished_study_says_what_is_missing_and_draws_the_rest(finished):
-    config = study.load(finished)
-    frame, _ = study.collect(config, finished)
+    config = load(finished)
+    frame, _ = collect(config, finished)
     some = frame.filter((polars.col("arm") != "cma-es") | (polars.col("seed") == 0))
     found = analyse(config, some, [Cell("cma-es", 1)], None)
     said = headline(found)
@@ -387,7 +396,7 @@ def test_unfinished_study_says_what_is_missing_and_draws_the_rest(finished):
 def test_wrong_input_is_answered_in_one_line(tmp_path, monkeypatch, capsys, arguments, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "broken.toml").write_text("seeds = [")
-    study.begin(StudyConfig.from_dict(SMALL), tmp_path / "begun")
+    begin(StudyConfig.from_dict(SMALL), tmp_path / "begun")
     assert cli.main(arguments) == 1
     err = capsys.readouterr().err
     assert message in err

@@ -17,9 +17,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from evolution.arms import Arm, Standing
 from evolution.evaluators import RayEvaluator
-from evolution.study import Cell, StudyConfig, StudyError, is_finished
+from evolution.study.arms import Arm, Standing
+from evolution.study.config import Cell, StudyConfig, StudyError, is_finished
 
 _POLL_S = 0.5
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from evolution import statistics
+from evolution.study import statistics
 
 # Remission of leukaemia in weeks, Freireich et al. 1963: the textbooks' example of censored times.
 TREATED = np.array([6, 6, 6, 6, 7, 9, 10, 10, 11, 13, 16, 17, 19, 20, 22, 23, 25, 32, 32, 34, 35.0])

@@ -3,15 +3,16 @@ import json
 import numpy as np
 import pytest
 
-from caterpillar_env import rendering
+from caterpillar_env.drawing import rendering
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from evolution import cli
+from evolution.config import RunConfig
 from evolution.evaluators import LocalEvaluator
 from evolution.individual import Individual
 from evolution.optimizers.ga import GaConfig
-from evolution.run import RunConfig, evolve
+from evolution.run import evolve
 
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
 

@@ -14,16 +14,18 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from caterpillar_env.task import Failure
-from evolution import statistics
-from evolution.analysis import Analysis, Winner, arrival, headline, within_budget
-from evolution.arms import EvolutionArm
+from caterpillar_env.morphology import NAMES
+from evolution.config import RunConfig
 from evolution.page import data_url, render
+from evolution.plots import FAILURE_COLOURS
 from evolution.preprocessor import paper_priors
-from evolution.run import RunConfig
-from evolution.statistics import Estimate
+from evolution.study import statistics
+from evolution.study.analysis import Analysis, arrival, within_budget
+from evolution.study.arms import EvolutionArm
+from evolution.study.headline import headline
+from evolution.study.statistics import Estimate
+from evolution.study.winners import Winner
 
-_FAILURES = [f.label for f in Failure if f is not Failure.NONE]
 _KILO = 1000.0  # simulated seconds on the axes
 
 
@@ -128,12 +130,13 @@ def failures(analysis: Analysis, frame: polars.DataFrame) -> Figure:
         status = mine["failure"].to_numpy()
         number = np.array([np.count_nonzero(part == k) for k in range(10)])
         bottom = np.zeros(10)
-        for reason in _FAILURES:
+        for reason, colour in FAILURE_COLOURS.items():
             share = np.array([np.count_nonzero((part == k) & (status == reason)) for k in range(10)])
             share = share / np.maximum(number, 1)
             axis.bar(
-                edges[:-1] / _KILO, share, np.diff(edges) / _KILO, bottom, align="edge", label=reason
-            )
+                edges[:-1] / _KILO, share, np.diff(edges) / _KILO, bottom, align="edge", label=reason,
+                color=colour,
+            )  # fmt: skip
             bottom += share
         axis.set(title=arm, ylim=(0, 1))
         axis.title.set_fontsize("small")
@@ -154,7 +157,7 @@ def gene_courses(analysis: Analysis, frame: polars.DataFrame) -> Figure | None:
     ]
     if not arms:
         return None
-    table = searches[arms[0]].genes()[:8]
+    table = searches[arms[0]].encoding.genes[: len(NAMES)]
     informed = _peaks(searches[arms[0]])
     figure = Figure(figsize=(12, 5.4), layout="constrained")
     axes = figure.subplots(2, 4, sharex=True).ravel()
@@ -185,7 +188,7 @@ def gene_courses(analysis: Analysis, frame: polars.DataFrame) -> Figure | None:
 
 def _peaks(config: RunConfig) -> list[float | None]:
     """Where the preprocessor puts the peak of each morphology gene, SI; None where it says nothing."""
-    rows = paper_priors(config.physics, config.gait_period_s)[:8]
+    rows = paper_priors(config.encoding)[: len(NAMES)]
     return [None if (mu := row.to_dict()["mu"]) is None else float(mu) for row in rows]
 
 
@@ -239,7 +242,7 @@ def write(analysis: Analysis, frame: polars.DataFrame, winners: Sequence[Winner]
     page = folder / "report.html"
     page.write_text(
         render(
-            "study.html", filters, name=folder.resolve().name, analysis=analysis,
+            "study/study.html", filters, name=folder.resolve().name, analysis=analysis,
             config=analysis.config, winners=winners, sentences=headline(analysis), figures=figures,
             version=version("caterpillar-sma"),
         ),

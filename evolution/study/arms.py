@@ -20,11 +20,12 @@ import polars
 
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import Failure
+from evolution.config import RunConfig
 from evolution.evaluators import LocalEvaluator
 from evolution.individual import Individual, Robot
 from evolution.journal import FILE, Journal, JournalError
 from evolution.records import table
-from evolution.run import RunConfig, evolve, read_configuration, resume
+from evolution.run import evolve, read_configuration, resume
 
 _FOREVER = 1_000_000  # generations: the budget ends a run
 
@@ -220,11 +221,9 @@ class EvolutionArm:
         if not able:
             return None
         top = max(able, key=lambda row: row.distance_m)
-        config = self.config
         return Individual.of_genome(
-            top.genome, config.physics, config.gait_period_s, config.genome,
-            fitness_m=top.distance_m, generation=top.generation,
-        )  # fmt: skip
+            top.genome, self.config.encoding, fitness_m=top.distance_m, generation=top.generation
+        )
 
 
 def _same_settings(journal: Journal, config: RunConfig, folder: Path) -> None:

@@ -12,8 +12,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from caterpillar_env.errors import CaterpillarError
 from evolution import cli
+from evolution.files import writing
 from evolution.validation import convergence, golden, material, mechanics, sensitivity
 from evolution.validation.check import Check
 from evolution.validation.robots import evolved_robots
@@ -49,12 +49,8 @@ def groups(*, quick: bool) -> dict[str, Callable[[], list[Check]]]:
 def validate_command(argv: Sequence[str]) -> int:
     """`caterpillar validate`."""
     args = cli.parse(ValidateArgs, argv, "validate")
-    try:
+    with writing(args.out):
         args.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CaterpillarError(
-            f"cannot make {args.out}: {error.strerror}; choose another --out"
-        ) from None
     console = cli.console()
     results: dict[str, list[Check]] = {}
     for name, run in groups(quick=args.quick).items():

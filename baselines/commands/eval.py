@@ -1,0 +1,107 @@
+"""`caterpillar rl eval`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+from baselines.policy import AtRandom, Policy, TrainedRobot, judge
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.physics import Physics
+from caterpillar_env.task import label
+from evolution import cli
+from evolution.commands.running import film
+from evolution.fitness import Outcomes
+
+
+@dataclass(frozen=True)
+class EvalArgs:
+    """Let a trained policy crawl: as it was judged, drawing its actions, or on other ground."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """A training's folder."""
+    which: Literal["best", "last", "random"] = "best"
+    """Which of the policies that were kept; random: actions drawn evenly from the space instead."""
+    stochastic: bool = False
+    """Draw actions as in training, instead of taking the likeliest."""
+    episodes: int = 1
+    """How many episodes; without drawn actions all would be alike."""
+    friction: tuple[float, ...] = ()
+    """Try these friction coefficients."""
+    mismatch_seeds: tuple[int, ...] = ()
+    """Try these robots: other draws of the springs' strengths."""
+    timestep: float | None = None
+    """Another timestep than the training's, in s."""
+    json: bool = False
+    """Print data instead of sentences."""
+    video: bool = False
+    """Write eval.mp4 into the folder, of the first episode."""
+
+
+def eval_command(argv: Sequence[str]) -> int:
+    """`caterpillar rl eval`."""
+    args = cli.parse(EvalArgs, argv, "rl eval")
+    if args.episodes < 1:
+        raise CaterpillarError(f"episodes = {args.episodes} must be at least 1")
+    drawn = args.stochastic or args.which == "random"
+    if args.video and drawn:
+        raise CaterpillarError("a film is of the likeliest actions: leave out --video, or drawn actions")
+    if args.episodes > 1 and not drawn:
+        raise CaterpillarError(
+            "episodes of the likeliest actions are all alike; add --stochastic to draw them"
+        )
+    robot = TrainedRobot.load(args.folder, "last" if args.which == "last" else "best")
+    if args.which == "random":
+        space = judge(robot.config).action_space
+        robot = replace(robot, policy=Policy(AtRandom(space, robot.config.seed), None))
+    rows = []
+    for physics in _settings(robot.physics, args):
+        for episode in range(args.episodes):
+            outcome = replace(robot, physics=physics).simulate(
+                args.timestep, seed=robot.config.seed + episode, deterministic=not drawn
+            )
+            rows.append(_row(physics, episode, outcome))
+    if args.json:
+        print(json.dumps(rows, indent=2))
+    else:
+        for row in rows:
+            print(
+                f"{1000 * row['distance_m']:.1f} mm in {row['time_s']:.1f} s ({row['failure']}), "
+                f"{row['energy_j']:.1f} J, friction {row['friction']:g}, "
+                f"mismatch seed {row['mismatch_seed']}"
+            )
+        if len(rows) > 1:
+            fitness = [row["distance_m"] if row["failure"] == "ok" else 0.0 for row in rows]
+            low, middle, high = 1000 * np.quantile(fitness, [0.25, 0.5, 0.75])
+            print(f"median {middle:.1f} mm, quartiles {low:.1f} to {high:.1f}, failures counted as 0")
+    if args.video:
+        first = replace(robot, physics=_settings(robot.physics, args)[0])
+        film(first, args.folder / "eval.mp4", cli.console(), args.timestep)
+    return 0
+
+
+def _settings(physics: Physics, args: EvalArgs) -> list[Physics]:
+    """Every friction on every robot asked for."""
+    return [
+        replace(physics, friction=friction, mismatch_seed=seed)
+        for friction in args.friction or (physics.friction,)
+        for seed in args.mismatch_seeds or (physics.mismatch_seed,)
+    ]
+
+
+def _row(physics: Physics, episode: int, outcome: Outcomes) -> dict[str, Any]:
+    return {
+        "friction": physics.friction,
+        "mismatch_seed": physics.mismatch_seed,
+        "episode": episode,
+        "distance_m": float(outcome.distance_m[0]),
+        "energy_j": float(outcome.energy_j[0]),
+        "time_s": float(outcome.simulated_s[0]),
+        "failure": label(outcome.failure[0]),
+    }

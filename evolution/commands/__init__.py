@@ -1,0 +1,1 @@
+"""The subcommands of `caterpillar`: one module each, arguments and output alone."""

@@ -1,0 +1,156 @@
+"""What commands that run something share: where it is computed, what is told, what is left behind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from caterpillar_env.errors import CaterpillarError
+from evolution.config import RunConfig
+from evolution.evaluators import Evaluator, LocalEvaluator, RayEvaluator
+from evolution.individual import Robot
+from evolution.run import Generation, RunResult, Told
+from evolution.tracking import FOLDER as TENSORBOARD
+from evolution.tracking import TensorBoard
+
+
+@dataclass(frozen=True)
+class WorkerArgs:
+    """Where a run is computed, which makes no difference to its results."""
+
+    evaluator: Literal["local", "ray"] = "local"
+    """local: threads of this machine; ray: a Ray cluster."""
+    ray_address: str | None = None
+    """Address of a running cluster; by default one is started here and ended with the run."""
+    threads: int = 0
+    """Threads of the local evaluator; 0 for all cores."""
+    video: bool = True
+    """Write best.mp4."""
+    track: Literal["nowhere", "tensorboard"] = "nowhere"
+    """tensorboard: log to the run's folder too; a run that does goes on doing so when resumed."""
+
+    def __post_init__(self) -> None:
+        if self.threads < 0:
+            raise CaterpillarError(f"threads = {self.threads} must not be negative; 0 is all cores")
+
+    def make(self) -> Evaluator:
+        """The evaluator."""
+        return (
+            LocalEvaluator(self.threads) if self.evaluator == "local" else RayEvaluator(self.ray_address)
+        )
+
+    @contextmanager
+    def following(self, reporter: Reporter, folder: Path) -> Iterator[Told]:
+        """What a run tells its generations to."""
+        if self.track == "nowhere" and not (folder / TENSORBOARD).is_dir():
+            yield reporter.generation
+            return
+        with TensorBoard(folder) as board:
+
+            def told(generation: Generation) -> None:
+                reporter.generation(generation)
+                board.generation(generation)
+
+            yield told
+
+
+class Reporter:
+    """Tells how a run goes: a live bar on a terminal, a line per generation elsewhere."""
+
+    def __init__(self, config: RunConfig, console: Console) -> None:
+        self._config, self._console = config, console
+        self._bar: Progress | None = None
+        self._task: TaskID | None = None
+        self._done, self._step, self._replayed = 0.0, 1.0 / config.generations, 0.0
+
+    def __enter__(self) -> Reporter:
+        if self._console.is_terminal:
+            self._bar = Progress(
+                TextColumn("{task.description}"), BarColumn(),
+                TextColumn("{task.percentage:.0f} %, left"), TimeRemainingColumn(),
+                console=self._console,
+            )  # fmt: skip
+            self._bar.start()
+            self._task = self._bar.add_task("generation 0", total=1.0)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def generation(self, told: Generation) -> None:
+        """Print what a generation brought."""
+        done = self._config.share_done(told.evaluations, told.simulated_s)
+        left = self._config.generations - told.number - 1
+        # Of a budget it is not known how many generations are left: the next one is like the last.
+        even = (1.0 - done) / left if left else 0.0
+        self._step = even if self._config.budget_s is None else done - self._done
+        self._done = done
+        failures = ", ".join(f"{n} {reason}" for reason, n in told.failures.items() if n) or "none"
+        line = (
+            f"generation {told.number:3d}  best {1000 * told.best_m:6.1f} mm  "
+            f"mean {1000 * told.mean_m:5.1f} mm  failed: {failures}  "
+            f"simulated {told.simulated_s:,.0f} s"
+        )
+        if self._bar is None or self._task is None:
+            if told.replayed:
+                self._replayed = done  # it took no time, and says nothing of what is left
+            computed = done - self._replayed
+            if computed > 0:
+                line += f"  left {told.elapsed_s / computed * (1.0 - done) / 60:.1f} min"
+            self._console.print(line, soft_wrap=True)
+        else:
+            self._console.print(line)
+            self._bar.update(self._task, completed=done, description=f"generation {told.number + 1}")
+
+    def progress(self, share: float) -> None:
+        """Move the bar within a generation."""
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, completed=self._done + share * self._step)
+
+
+def finish(result: RunResult, folder: Path, console: Console, *, video: bool) -> int:
+    """Leave pictures of the best robot; the exit status."""
+    status = 0 if result.finished else 130
+    if not result.finished:
+        console.print(f"stopped; go on with: caterpillar resume {folder}")
+    picture(folder, console, video=video)
+    return status
+
+
+def picture(folder: Path, console: Console, *, video: bool) -> Path:
+    """Tell the best robot of a run, and leave its pictures and its page in the folder; the page."""
+    from evolution import run_report
+    from evolution.video import shows
+
+    record = run_report.Record.read(folder)
+    best = record.best
+    if best is None:
+        if record.generations():
+            console.print(f"no robot crawled forwards without failing; see caterpillar export {folder}")
+    else:
+        print(
+            f"best: {1000 * (best.fitness_m or 0):.1f} mm in 30 s "
+            f"(generation {best.generation}), in {folder}"
+        )
+        path = folder / "best.mp4"
+        if video and not (path.exists() and shows(path, best)):
+            film(best, path, console)
+    return run_report.write(folder)
+
+
+def film(robot: Robot, path: Path, console: Console, timestep_s: float | None = None) -> None:
+    """Write a video; a machine that cannot draw costs only the video."""
+    from evolution.video import Recording, write_video
+
+    console.print(f"writing {path} ...")
+    try:
+        write_video([Recording(robot, timestep_s=timestep_s)], path)
+    except CaterpillarError as error:
+        console.print(f"no video: {error}")

@@ -1,0 +1,160 @@
+"""What a run is asked to compute: every setting, and the optimizer and the distributions that follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.gait import GAIT_PERIOD_S
+from caterpillar_env.physics import Physics
+from evolution.distributions import Distribution, Uniform
+from evolution.genome import Encoding, GenomeKind
+from evolution.optimizers.base import Optimizer
+from evolution.optimizers.cma_es import CmaConfig, CmaEs
+from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
+from evolution.optimizers.random_search import RandomSearch, Sampling
+from evolution.preprocessor import Clipping, paper_priors
+
+OptimizerName = Literal["ga", "cma-es", "random"]
+Prior = Literal["preprocessed", "uniform", "init-only", "mutation-only", "mirrored"]
+Objective = Literal["distance", "distance-per-energy"]
+
+#: What optimizers and priors are, in words.
+OPTIMIZERS: dict[OptimizerName, str] = {
+    "ga": "the genetic algorithm", "cma-es": "CMA-ES", "random": "random search",
+}  # fmt: skip
+PRIORS: dict[Prior, str] = {
+    "preprocessed": "the preprocessor's distributions",
+    "uniform": "uniform distributions",
+    "init-only": "the preprocessor's distributions at first, uniform ones in mutation",
+    "mutation-only": "uniform distributions at first, the preprocessor's in mutation",
+    "mirrored": "the preprocessor's distributions with every peak at the wrong end",
+}
+
+
+class ConfigError(CaterpillarError):
+    """A run's configuration has a field that is unknown or out of range."""
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything that decides what a run computes; threads and folders do not.
+
+    Raises:
+        ConfigError: a value is out of range.
+    """
+
+    seed: int = 0  #: of the optimizer; the robot's own is mismatch_seed
+    generations: int = 50  #: how often the optimizer asks
+    budget_s: float | None = None  #: simulated seconds; once they are spent, it asks no more
+    optimizer: OptimizerName = "ga"
+    genome: GenomeKind = "shared"  #: full: times of every spring; per-segment: a body for every segment
+    prior: Prior = "preprocessed"  #: what genes are drawn from; init- and mutation-only are the GA's
+    floor_ratio: float = 3.0  #: greatest over least density of a preprocessed gene
+    clipping: Clipping = "truncated"  #: what becomes of a Gaussian beyond the bounds of its gene
+    objective: Objective = "distance"  #: what is maximised: m, or m per J of electrical energy
+    failed_fitness: float = 0.0  #: "low fitness" of a robot that fails
+    gait_period_s: float = GAIT_PERIOD_S
+    sampling: Sampling = "independent"  #: of random search
+    ga: GaConfig = field(default_factory=GaConfig)
+    cma: CmaConfig = field(default_factory=CmaConfig)
+    physics: Physics = field(default_factory=Physics)
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ConfigError(f"seed = {self.seed} must not be negative")
+        if self.generations < 1:
+            raise ConfigError(f"generations = {self.generations} must be at least 1")
+        if self.budget_s is not None and not 0 < self.budget_s < np.inf:
+            raise ConfigError(
+                f"budget_s = {self.budget_s} must be a positive number of simulated seconds"
+            )
+        for name, kind in _CHOICES.items():
+            if getattr(self, name) not in get_args(kind):
+                known = ", ".join(get_args(kind))
+                raise ConfigError(f"{name} = {getattr(self, name)!r} must be one of {known}")
+        if self.optimizer != "ga" and self.prior in ("init-only", "mutation-only"):
+            raise ConfigError(
+                f"prior = {self.prior!r} tells the genetic algorithm's first draw from its mutation; "
+                f"{self.optimizer} has but one: choose preprocessed, uniform or mirrored"
+            )
+        if not 0 <= self.failed_fitness < np.inf:
+            raise ConfigError(f"failed_fitness = {self.failed_fitness} must be finite and not negative")
+        self.distributions()
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> RunConfig:
+        """The configuration in plain JSON, as `to_dict` gives it.
+
+        Raises:
+            ConfigError: a field is unknown or unusable.
+        """
+        kinds: dict[str, Callable[..., Any]] = {
+            "ga": lambda value: GaConfig(**value),
+            "cma": lambda value: CmaConfig(**value),
+            "physics": Physics.of,
+        }
+        unknown = set(data) - {f.name for f in fields(cls)}
+        if unknown:
+            raise ConfigError(f"no such fields of a run's configuration: {', '.join(sorted(unknown))}")
+        try:
+            return cls(**{k: kinds[k](v) if k in kinds else v for k, v in data.items()})
+        except TypeError as error:
+            raise ConfigError(f"the configuration cannot be read: {error}") from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON."""
+        return asdict(self)
+
+    def distributions(self, use: Literal["init", "mutation"] = "init") -> list[Distribution]:
+        """What each gene is drawn from, at first or by mutation."""
+        rows = paper_priors(
+            self.encoding, self.floor_ratio, self.clipping, mirrored=self.prior == "mirrored"
+        )
+        informed = self.prior in ("preprocessed", "mirrored", f"{use}-only")
+        return [row.distribution if informed else Uniform() for row in rows]
+
+    @property
+    def encoding(self) -> Encoding:
+        """What a genome stands for."""
+        return Encoding(self.physics, self.gait_period_s, self.genome)
+
+    def make_optimizer(self) -> Optimizer:
+        """The optimizer at its beginning."""
+        rng = np.random.default_rng(self.seed)
+        first = self.distributions("init")
+        if self.optimizer == "ga":
+            return GeneticAlgorithm(first, self.distributions("mutation"), self.ga, rng)
+        if self.optimizer == "cma-es":
+            return CmaEs(first, self.cma, rng)
+        return RandomSearch(first, self.ga.population, self.sampling, rng)
+
+    def evaluations(self) -> int:
+        """How many genomes the whole run evaluates; without restarts, in the case of CMA-ES."""
+        ga = self.ga
+        if self.optimizer == "ga":
+            return ga.population + (self.generations - 1) * (ga.population - ga.hall_of_fame)
+        if self.optimizer == "random":
+            return ga.population * self.generations
+        default = 4 + int(3 * np.log(len(self.encoding.genes)))
+        return (self.cma.cma_population or default) * self.generations
+
+    def share_done(self, evaluations: int, simulated_s: float) -> float:
+        """How much of the run is behind it, in [0, 1]; of a budget, what is spent."""
+        if self.budget_s is not None:
+            return min(simulated_s / self.budget_s, 1.0)
+        return min(evaluations / self.evaluations(), 1.0)
+
+
+_CHOICES = {
+    "optimizer": OptimizerName,
+    "genome": GenomeKind,
+    "prior": Prior,
+    "clipping": Clipping,
+    "objective": Objective,
+    "sampling": Sampling,
+}
