@@ -53,6 +53,7 @@ class Episodes:
         gait_period_s: float = GAIT_PERIOD_S,
         frame_skip: int = 1,
         episode_s: float = EPISODE_S,
+        max_episode_steps: int | None = None,
         forward_reward_weight: float = 100.0,
         ctrl_cost_weight: float = 0.0,
         failure_cost: float = 5.0,
@@ -84,6 +85,9 @@ class Episodes:
         self._episode_intervals = whole(episode_s, CONTROL_INTERVAL_S, "episode_s")
         self._frame_skip = frame_skip
         self._step_intervals = frame_skip * (self._period_intervals if action_mode == "timing" else 1)
+        if max_episode_steps is not None:
+            limit = max_episode_steps * self._step_intervals
+            self._episode_intervals = min(self._episode_intervals, limit)
         self._weights = (forward_reward_weight, ctrl_cost_weight, failure_cost)
         self._noise = reset_noise_scale
         self._randomization = Randomization.of(randomization)
@@ -255,14 +259,9 @@ def morphologies_for(value: Any, num_envs: int) -> list[Morphology]:
     Raises:
         MorphologyError: neither, or not as many as robots.
     """
-    if isinstance(value, (Morphology, Mapping)):
-        return [Morphology.of(value)] * num_envs
-    if isinstance(value, np.ndarray) or not isinstance(value, Sequence):
-        array = np.asarray(value)
-        if array.ndim == 1:
-            return [Morphology.of(array)] * num_envs
-        value = list(array) if array.ndim == 2 else []
-    elif value and all(isinstance(v, (int, float)) for v in value):
+    if not isinstance(value, (Morphology, Mapping, Sequence)):
+        value = np.asarray(value)
+    if isinstance(value, (Morphology, Mapping)) or (len(value) and np.isscalar(value[0])):
         return [Morphology.of(value)] * num_envs
     if len(value) != num_envs:
         raise MorphologyError(

@@ -41,20 +41,13 @@ def joint_names(num_segments: int) -> list[str]:
     return names
 
 
-def build_model(
-    body: Body,
-    physics: Physics,
-    strengths: NDArray[np.float64],
-    *,
-    scenery: bool = True,
-) -> mujoco.MjModel:
+def build_model(body: Body, physics: Physics, *, scenery: bool = True) -> mujoco.MjModel:
     """Compile one robot on flat ground, its feet on the floor, straight along x, heading forwards.
 
     Args:
         body: one morphology, or one a segment. Unlike segments all stand on their feet when straight:
             their axes are then at different heights, and a neck lies halfway between its neighbours'.
         physics: material, numerics and number of segments.
-        strengths: factor on each spring's force, shape (num_springs,).
         scenery: whether it is to be drawn; cameras, light, ground, ruler and legs make up most of the
             time that it takes to build, and of the size.
 
@@ -62,7 +55,7 @@ def build_model(
         A model whose sizes depend on `physics.num_segments` alone. Bodies are `element0` (head) to
         `element{2N-1}`; tendons and actuators carry `gait.spring_names`; control is xi in [0, 1].
     """
-    return ModelBuilder(physics, strengths, scenery=scenery).build(body)
+    return ModelBuilder(physics, scenery=scenery).build(body)
 
 
 class ModelBuilder:
@@ -72,10 +65,8 @@ class ModelBuilder:
     what depends on the body is written into it anew.
     """
 
-    def __init__(
-        self, physics: Physics, strengths: NDArray[np.float64], *, scenery: bool = True
-    ) -> None:
-        self._physics, self._strengths, self._scenery = physics, strengths, scenery
+    def __init__(self, physics: Physics, *, scenery: bool = True) -> None:
+        self._physics, self._scenery = physics, scenery
         self._spec: mujoco.MjSpec | None = None
         self._parts: list[Any] = []  # in the order of making
 
@@ -86,7 +77,7 @@ class ModelBuilder:
         if self._spec is None:
             self._spec = _new_spec(p, scenery=self._scenery)
             _add_robot(self._spec, segments, p, self._make, legs=self._scenery)
-            _add_springs(self._spec, p, self._strengths)
+            _add_springs(self._spec, p)
         else:
             known = iter(self._parts)
 
@@ -337,8 +328,8 @@ def _add_anchors(
                 )
 
 
-def _add_springs(spec: mujoco.MjSpec, p: Physics, strengths: NDArray[np.float64]) -> None:
-    s = p.spring
+def _add_springs(spec: mujoco.MjSpec, p: Physics) -> None:
+    s, strengths = p.spring, p.strengths()
     cold, hot = s.martensite_stiffness_n_m, s.austenite_stiffness_n_m
     for index, name in enumerate(spring_names(p.num_segments)):
         gap = index // SPRINGS_PER_GAP

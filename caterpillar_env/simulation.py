@@ -97,7 +97,7 @@ class Simulation:
         self.simulated_s = 0.0
         self._substeps = whole(SMA_STEP_S, physics.timestep_s, "the thermal step")
         # Bodies that come back (elites, a vector environment's one body) are not built again.
-        builder = ModelBuilder(physics, physics.strengths(), scenery=False)
+        builder = ModelBuilder(physics, scenery=False)
         self._build = lru_cache(_CACHED_BODIES)(builder.build)
         nominal = self._build(Morphology())
         self._models = [nominal] * num_rows
@@ -330,7 +330,7 @@ class Simulation:
 
     def drawable(self, row: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """A row to render: a model with scenery, and data in its pose with all derived fields."""
-        model = build_model(self._bodies[row], self.physics, self.physics.strengths())
+        model = build_model(self._bodies[row], self.physics)
         data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:] = self._qpos[row], self._qvel[row]
         mujoco.mj_forward(model, data)

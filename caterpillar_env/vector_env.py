@@ -47,7 +47,6 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         morphology: Any = None,
         threads: int = 0,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        max_episode_steps: int | None = None,
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
@@ -78,11 +77,8 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         self.render_mode = render_mode
         view = View(width, height, camera_name, default_camera_config)
         self._pictures = Pictures(self._episodes.crawl, view, overlay=overlay)
-        self._limit = max_episode_steps
-        self._every = np.arange(num_envs)
         self._generators: list[np.random.Generator] = []
         self._done = np.zeros(num_envs, dtype=bool)
-        self._elapsed = np.zeros(num_envs, dtype=np.int64)
         self._observations = np.zeros(self.observation_space.shape or (), dtype=np.float32)
 
     @property
@@ -165,11 +161,9 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         if going.size:
             step = self._episodes.step(actions[going], going)
             self._observations[going] = step.observation
-            self._elapsed[going] += 1
             rewards[going] = step.reward
             terminated[going] = step.terminated
-            late = self._elapsed[going] >= self._limit if self._limit else False
-            truncated[going] = (step.truncated | late) & ~step.terminated
+            truncated[going] = step.truncated
             self._merge(info, step.info, going)
         if stale.size:
             self._start(stale, info)
@@ -198,7 +192,6 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         )
         self._observations[rows] = observations
         self._done[rows] = False
-        self._elapsed[rows] = 0
         return self._merge(info, started, rows)
 
     def _merge(

@@ -12,17 +12,25 @@ from scipy.special import ndtr, ndtri
 Array = NDArray[np.float64]
 
 
+class _Invertible:
+    """Draws by inversion of the distribution function: one uniform a draw."""
+
+    def quantile(self, share: Array) -> Array:
+        """Where the distribution function reaches `share`, in [0, 1]."""
+        raise NotImplementedError
+
+    def sample(self, rng: np.random.Generator, size: int) -> Array:
+        """`size` draws in [0, 1]."""
+        return self.quantile(rng.random(size))
+
+
 @dataclass(frozen=True)
-class Uniform:
+class Uniform(_Invertible):
     """Every value equally likely."""
 
     def quantile(self, share: Array) -> Array:
         """Where the distribution function reaches `share`, in [0, 1]."""
         return share
-
-    def sample(self, rng: np.random.Generator, size: int) -> Array:
-        """`size` draws in [0, 1]."""
-        return rng.random(size)
 
     def density(self, x: Array) -> Array:
         """Probability density at x."""
@@ -30,7 +38,7 @@ class Uniform:
 
 
 @dataclass(frozen=True)
-class TruncatedGaussian:
+class TruncatedGaussian(_Invertible):
     """The paper's clipped Gaussian: cut off at 0 and 1 and renormalised.
 
     Args:
@@ -56,10 +64,6 @@ class TruncatedGaussian:
         x: Array = self.mu + self.sigma * ndtri(low + (high - low) * share)
         return np.clip(x, 0.0, 1.0)
 
-    def sample(self, rng: np.random.Generator, size: int) -> Array:
-        """`size` draws in [0, 1], by inversion of the distribution function: one uniform a draw."""
-        return self.quantile(rng.random(size))
-
     def density(self, x: Array) -> Array:
         """Probability density at x."""
         mass = ndtr((1.0 - self.mu) / self.sigma) - ndtr(-self.mu / self.sigma)
@@ -69,7 +73,7 @@ class TruncatedGaussian:
 
 
 @dataclass(frozen=True)
-class ClampedGaussian:
+class ClampedGaussian(_Invertible):
     """The other reading of the paper's "clipped": values beyond 0 and 1 are put on the bound.
 
     Args:
@@ -84,10 +88,6 @@ class ClampedGaussian:
         """Where the distribution function reaches `share`, in [0, 1]."""
         x: Array = self.mu + self.sigma * ndtri(share)
         return np.clip(x, 0.0, 1.0)
-
-    def sample(self, rng: np.random.Generator, size: int) -> Array:
-        """`size` draws in [0, 1]; some are 0 or 1 exactly."""
-        return self.quantile(rng.random(size))
 
     def density(self, x: Array) -> Array:
         """Probability density between the bounds, which carry the rest of the probability."""

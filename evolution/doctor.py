@@ -197,7 +197,7 @@ def frame() -> dict[str, str]:
     from caterpillar_env.physics import Physics
 
     physics = Physics()
-    model = build_model(Morphology(), physics, physics.strengths())
+    model = build_model(Morphology(), physics)
     renderer = RobotRenderer(model, mujoco.MjData(model), physics.spring, View(96, 64))
     cold_c = np.full(physics.num_springs, physics.spring.ambient_c)
     picture = renderer.draw(model.qpos0, cold_c, "rgb_array")

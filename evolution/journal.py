@@ -11,25 +11,23 @@ Nothing of an optimizer is kept: a run is resumed by asking it anew and answerin
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import os
 import platform
 import sqlite3
-import time
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import Failure, label
+from evolution.database import JournalDamagedError, JournalError, locked, opened, told
 from evolution.fitness import Outcomes
 
 Array = NDArray[np.float64]
@@ -57,14 +55,6 @@ CREATE TABLE evaluations (
     digest BLOB NOT NULL
 );
 """
-
-
-class JournalError(CaterpillarError):
-    """A journal cannot be opened, read or written."""
-
-
-class JournalDamagedError(JournalError):
-    """A journal's file is damaged; what is whole can be kept (`Journal.repair`)."""
 
 
 class Evaluation(NamedTuple):
@@ -134,9 +124,9 @@ class Journal:
         self.path = folder / FILE
         if not self.path.is_file():
             raise JournalError(f"{folder} holds no {FILE}: it is no run folder")
-        self._lock = None if read_only else _locked(folder)
+        self._lock = None if read_only else locked(folder)
         try:
-            self._db = _opened(self.path, read_only=read_only)
+            self._db = opened(self.path, read_only=read_only)
             self._check()
         except BaseException:
             if self._lock is not None:
@@ -154,7 +144,7 @@ class Journal:
         if path.exists():
             raise JournalError(f"{path} exists already; resume that run, or choose another folder")
         partial = path.with_name(f".{FILE}.partial")
-        with _told(path):
+        with told(path):
             partial.unlink(missing_ok=True)
             with closing(sqlite3.connect(partial)) as db, db:
                 db.executescript(
@@ -205,20 +195,20 @@ class Journal:
     @property
     def configuration(self) -> dict[str, Any]:
         """The run's configuration, as it was given to `create`."""
-        with _told(self.path):
+        with told(self.path):
             (text,) = self._db.execute("SELECT configuration FROM run").fetchone()
         data: dict[str, Any] = json.loads(text)
         return data
 
     def configure(self, configuration: dict[str, Any]) -> None:
         """Put another configuration in the place of the first: one with more generations, say."""
-        with _told(self.path), self._db:
+        with told(self.path), self._db:
             self._db.execute("UPDATE run SET configuration = ?", [json.dumps(configuration)])
 
     @property
     def sessions(self) -> list[Session]:
         """Each time that the run was started or resumed, in turn."""
-        with _told(self.path):
+        with told(self.path):
             rows = self._db.execute(
                 "SELECT session, started, finished, fingerprint FROM sessions ORDER BY session"
             ).fetchall()
@@ -226,7 +216,7 @@ class Journal:
 
     def begin(self) -> int:
         """Note a new session; its number."""
-        with _told(self.path), self._db:
+        with told(self.path), self._db:
             row = self._db.execute(
                 "INSERT INTO sessions (started, fingerprint) VALUES (datetime('now'), ?)",
                 [json.dumps(fingerprint())],
@@ -236,7 +226,7 @@ class Journal:
 
     def finish(self, session: int) -> None:
         """Note that the run came to its end in this session."""
-        with _told(self.path), self._db:
+        with told(self.path), self._db:
             self._db.execute(
                 "UPDATE sessions SET finished = datetime('now') WHERE session = ?", [session]
             )
@@ -272,7 +262,7 @@ class Journal:
                 session,
             )
             rows.append((*values, _digest(values)))
-        with _told(self.path), self._db:
+        with told(self.path), self._db:
             self._db.executemany(f"INSERT INTO evaluations VALUES ({', '.join('?' * 9)})", rows)
 
     def evaluations(self) -> Iterator[Evaluation]:
@@ -306,7 +296,7 @@ class Journal:
         path = folder / FILE
         if not path.is_file():
             raise JournalError(f"{folder} holds no {FILE}: it is no run folder")
-        lock = _locked(folder)
+        lock = locked(folder)
         kept: list[tuple[Any, ...]] = []
         try:
             db = sqlite3.connect(path)
@@ -334,7 +324,7 @@ class Journal:
             old = path.with_name(FILE + suffix)
             if old.exists():
                 old.replace(path.with_name(f"{FILE}.damaged{suffix}"))
-        with cls.create(folder, json.loads(configuration)) as journal, _told(path), journal._db as db:
+        with cls.create(folder, json.loads(configuration)) as journal, told(path), journal._db as db:
             db.executemany("INSERT INTO sessions VALUES (?, ?, ?, ?)", sessions)
             db.executemany(f"INSERT INTO evaluations VALUES ({', '.join('?' * 9)})", kept)
         return len(kept)
@@ -356,81 +346,3 @@ def _digest(values: Sequence[Any]) -> bytes:
         part = value if isinstance(value, bytes) else repr(value).encode()
         state.update(len(part).to_bytes(4, "little") + part)
     return state.digest()
-
-
-def _opened(path: Path, *, read_only: bool) -> sqlite3.Connection:
-    """A connection that loses nothing that it has committed."""
-    db = sqlite3.connect(path)
-    try:
-        if not read_only:
-            # A write-ahead log needs memory that all readers share, which other machines do not.
-            mode = "DELETE" if _file_system(path) in _NETWORKED else "WAL"
-            db.execute(f"PRAGMA journal_mode = {mode}")
-            db.execute("PRAGMA synchronous = FULL")
-    except sqlite3.DatabaseError as error:
-        db.close()
-        if "malformed" in str(error) or "not a database" in str(error):
-            raise JournalDamagedError(
-                f"{path} is damaged: {error}. `caterpillar resume {path.parent} --repair` keeps what is "
-                "whole"
-            ) from None
-        raise JournalError(f"cannot open {path}: {error}") from None
-    return db
-
-
-_NETWORKED = {
-    "nfs", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "lustre", "beegfs", "gpfs", "ceph",
-    "glusterfs", "fuse.glusterfs", "afs",
-}  # fmt: skip
-_MOUNTS = Path("/proc/self/mounts")
-
-
-def _file_system(path: Path) -> str:
-    """Kind of the file system that holds a path; empty where the system does not tell."""
-    try:
-        mounts = [line.split(" ")[1:3] for line in _MOUNTS.read_text("utf-8").splitlines()]
-    except OSError:
-        return ""
-    where = path.resolve()
-    holding = [
-        (len(place), kind) for place, kind in mounts if where.is_relative_to(place.replace("\\040", " "))
-    ]
-    return max(holding, default=(0, ""))[1]
-
-
-def is_in_use(folder: Path) -> bool:
-    """Whether a process has the journal open to write."""
-    try:
-        with (folder / ".lock").open("r", encoding="utf-8") as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except FileNotFoundError:
-        return False
-    except OSError:
-        return True
-    return False
-
-
-def _locked(folder: Path) -> IO[str]:
-    """A lock that ends with this process, however it ends."""
-    file = (folder / ".lock").open("w", encoding="utf-8")
-    for attempt in range(10):
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return file
-        except OSError:
-            if attempt < 9:
-                time.sleep(0.05)  # somebody who only looks has it for an instant
-    file.close()
-    raise JournalError(f"another process is working on {folder}; wait for it, or stop it, and try again")
-
-
-@contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Says plainly what keeps SQLite from reading or writing."""
-    try:
-        yield
-    except (sqlite3.OperationalError, OSError) as error:
-        raise JournalError(
-            f"cannot write {path}: {error} (is the disk full?). What was finished is safe; make room "
-            f"and `caterpillar resume {path.parent}`"
-        ) from None

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from evolution.database import JournalError
 from evolution.genome import gene_values
 from evolution.individual import Individual
-from evolution.journal import Journal, JournalError, outcomes_of
+from evolution.journal import Journal, outcomes_of
 from evolution.run import read_configuration, scores
 
 if TYPE_CHECKING:

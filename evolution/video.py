@@ -154,7 +154,7 @@ class Recording:
             view_m: length of body that the picture is wide enough for.
         """
         physics = self.robot.physics
-        model = build_model(self.robot.morphology, physics, physics.strengths())
+        model = build_model(self.robot.morphology, physics)
         model.cam_poscom0[:] *= view_m / self.body_length_m
         renderer = RobotRenderer(
             model, mujoco.MjData(model), physics.spring, View(width, height, camera)

@@ -15,8 +15,9 @@ from rich.table import Table
 
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli
+from evolution.database import JournalError, is_in_use
 from evolution.individual import Individual
-from evolution.journal import FILE, Journal, JournalError, is_in_use
+from evolution.journal import FILE, Journal
 from evolution.run import read_configuration
 
 

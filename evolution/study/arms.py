@@ -21,9 +21,10 @@ import polars
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import Failure
 from evolution.config import RunConfig
+from evolution.database import JournalError
 from evolution.evaluators import LocalEvaluator
 from evolution.individual import Individual, Robot
-from evolution.journal import FILE, Journal, JournalError
+from evolution.journal import FILE, Journal
 from evolution.records import table
 from evolution.run import evolve, read_configuration, resume
 

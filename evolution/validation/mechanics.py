@@ -42,7 +42,7 @@ def _model(
 ) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """The nominal robot; `bare` without gravity, ground and springs."""
     physics = physics or Physics()
-    model = build_model(Morphology(), physics, physics.strengths())
+    model = build_model(Morphology(), physics)
     if bare:
         off = mujoco.mjtDisableBit
         model.opt.disableflags |= off.mjDSBL_GRAVITY | off.mjDSBL_CONTACT | off.mjDSBL_ACTUATION

@@ -38,7 +38,7 @@ class RobotScene:
         if self._robot is not None:
             self._robot.remove()
         physics = individual.physics
-        model = build_model(individual.morphology, physics, physics.strengths())
+        model = build_model(individual.morphology, physics)
         self._spring, self._model, self._data = physics.spring, model, mujoco.MjData(model)
         self._robot = self._scene.add_frame("/world/robot", show_axes=False)
         self._elements = [

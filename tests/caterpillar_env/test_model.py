@@ -23,10 +23,9 @@ BODY = Morphology(
 )
 
 
-def built(morphology=BODY, strengths=None, **physics):
+def built(morphology=BODY, **physics):
     """A model and its data at the start."""
-    physics = Physics(**physics)
-    model = build_model(morphology, physics, physics.strengths() if strengths is None else strengths)
+    model = build_model(morphology, Physics(**physics))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return model, data
@@ -129,7 +128,7 @@ def test_bend_axis_is_a_choice_and_necks_pitch(axis, direction):
 @pytest.mark.parametrize("joint", ["neck1", "bend1", "axial1"])
 def test_joint_deflects_by_load_over_stiffness(joint):
     """Static deflection in free space, with springs that do not pull."""
-    model, data = built(strengths=np.full(12, 1e-9))
+    model, data = built(spring_strengths=[1e-9] * 12)
     model.opt.gravity[:] = 0
     data.qpos[2] = 1.0
     rest = {"axial1": 4 * 10 * (0.026 + 0.008 - 0.016) / 500}.get(joint, 0.0)  # moulded longer
@@ -140,7 +139,7 @@ def test_joint_deflects_by_load_over_stiffness(joint):
 
 
 def test_cold_springs_compress_the_body_just_to_its_length():
-    model, data = built(strengths=np.ones(12))
+    model, data = built(mismatch_std=0.0)
     model.opt.gravity[:] = 0
     data.qpos[2] = 1.0
     step(model, data, 3.0)
@@ -178,7 +177,7 @@ def test_feet_stick_below_the_friction_angle_and_slide_above(share):
 
 @pytest.mark.parametrize(("height", "sign"), [("dorsal", 1), ("ventral", -1)])
 def test_hot_springs_bend_their_own_gap_towards_their_side(height, sign):
-    model, data = built(strengths=np.ones(12))
+    model, data = built(mismatch_std=0.0)
     model.opt.gravity[:] = 0
     data.qpos[2] = 1.0
     for side in ("left", "right"):
@@ -190,7 +189,7 @@ def test_hot_springs_bend_their_own_gap_towards_their_side(height, sign):
 
 
 def test_spring_on_one_side_turns_that_way():
-    model, data = built(strengths=np.ones(12))
+    model, data = built(mismatch_std=0.0)
     model.opt.gravity[:] = 0
     data.qpos[2] = 1.0
     for height in ("dorsal", "ventral"):
@@ -380,12 +379,12 @@ def test_body_of_another_number_of_segments_is_refused(count):
 def test_a_builder_that_has_built_others_builds_the_very_same_model(scenery):
     rng = np.random.default_rng(6)
     physics = Physics()
-    used = ModelBuilder(physics, physics.strengths(), scenery=scenery)
+    used = ModelBuilder(physics, scenery=scenery)
     for unlike in (False, True, False, True):
         segments = tuple(Morphology.from_unit(unit) for unit in rng.random((4, 8)))
         body = segments if unlike else segments[0]
         ours = used.build(body)
-        fresh = build_model(body, physics, physics.strengths(), scenery=scenery)
+        fresh = build_model(body, physics, scenery=scenery)
         for name in dir(fresh):
             value = getattr(fresh, name)
             if isinstance(value, np.ndarray):

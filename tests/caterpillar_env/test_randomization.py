@@ -38,9 +38,9 @@ def arrays(model):
 
 def test_a_heavier_robot_is_one_that_was_built_heavier():
     body = Morphology()
-    light = build_model(body, P, P.strengths(), scenery=False)
+    light = build_model(body, P, scenery=False)
     heavy = build_model(
-        Morphology(segment_mass_kg=1.25 * body.segment_mass_kg), P, P.strengths(), scenery=False
+        Morphology(segment_mass_kg=1.25 * body.segment_mass_kg), P, scenery=False
     )
     made = varied(light, P, conditions(mass=1.25))
     for name, value in arrays(heavy).items():
@@ -49,9 +49,9 @@ def test_a_heavier_robot_is_one_that_was_built_heavier():
 
 def test_stronger_springs_and_slippery_ground_are_those_of_other_physics():
     other = Physics(num_segments=2, timestep_s=0.01, friction=0.3, spring_strengths=(1.5,) * 4)
-    expected = build_model(Morphology(), other, other.strengths(), scenery=False)
+    expected = build_model(Morphology(), other, scenery=False)
     made = varied(
-        build_model(Morphology(), P, P.strengths(), scenery=False), P,
+        build_model(Morphology(), P, scenery=False), P,
         conditions(friction=0.3, strengths=(1.5,) * 4),
     )  # fmt: skip
     for name, value in arrays(expected).items():
@@ -59,7 +59,7 @@ def test_stronger_springs_and_slippery_ground_are_those_of_other_physics():
 
 
 def test_the_robot_itself_is_left_as_it_was():
-    model = build_model(Morphology(), P, P.strengths(), scenery=False)
+    model = build_model(Morphology(), P, scenery=False)
     before = {name: value.copy() for name, value in arrays(model).items()}
     varied(model, P, conditions(mass=2.0, friction=0.1, strengths=(2.0,) * 4))
     for name, value in before.items():

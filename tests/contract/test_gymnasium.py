@@ -80,10 +80,12 @@ def test_spec_comes_back_from_json(env_id):
 
 @pytest.mark.parametrize("env_id", IDS)
 def test_make_vec_uses_the_native_vector_environment(env_id):
-    envs = gymnasium.make_vec(env_id, 2, max_episode_steps=7, **QUICK)
+    envs = gymnasium.make_vec(env_id, 2, max_episode_steps=2, **QUICK)
     assert type(envs.unwrapped) is caterpillar_env.CaterpillarVectorEnv
     assert envs.num_envs == 2
-    assert envs.unwrapped._limit == 7
+    envs.reset(seed=0)
+    nothing = np.zeros(envs.action_space.shape, envs.action_space.dtype)
+    assert [envs.step(nothing)[3].tolist() for _ in range(2)] == [[False] * 2, [True] * 2]
     single = made(env_id)
     assert envs.single_observation_space == single.observation_space
     assert envs.single_action_space == single.action_space

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from caterpillar_env.task import Failure
+from evolution.database import JournalDamagedError, JournalError, is_in_use
 from evolution.fitness import Outcomes
-from evolution.journal import FILE, Journal, JournalDamagedError, JournalError, is_in_use
+from evolution.journal import FILE, Journal
 
 CONFIGURATION = {"seed": 3, "generations": 2}
 
@@ -153,7 +154,8 @@ FULL_DISK = """
 import resource, sys
 import numpy as np
 from pathlib import Path
-from evolution.journal import Journal, JournalError
+from evolution.journal import Journal
+from evolution.database import JournalError
 from evolution.fitness import Outcomes
 folder = Path(sys.argv[1])
 journal = Journal.create(folder, {"seed": 3})
@@ -225,7 +227,7 @@ def test_killed_in_the_middle_of_writing_loses_nothing_committed(tmp_path, trial
 def test_network_file_systems_get_a_rollback_journal(tmp_path, monkeypatch, mounts, mode):
     table = tmp_path / "mounts"
     table.write_text(mounts.format(tmp_path / "far"))
-    monkeypatch.setattr("evolution.journal._MOUNTS", table)
+    monkeypatch.setattr("evolution.database._MOUNTS", table)
     folder = tmp_path / "far" / "run"
     folder.mkdir(parents=True)
     with Journal.create(folder, {}) as journal:

@@ -10,10 +10,11 @@ from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
 from evolution import cli
 from evolution.config import RunConfig
+from evolution.database import JournalError
 from evolution.evaluators import LocalEvaluator
 from evolution.fitness import Outcomes
 from evolution.individual import Individual
-from evolution.journal import FILE, Journal, JournalError
+from evolution.journal import FILE, Journal
 from evolution.optimizers.ga import GaConfig
 from evolution.records import leaders, table
 from evolution.run import evolve

@@ -11,7 +11,7 @@ PHYSICS = Physics()
 
 
 def built(body=None, **kwargs):
-    return build_model(body or Morphology(), PHYSICS, PHYSICS.strengths(), **kwargs)
+    return build_model(body or Morphology(), PHYSICS, **kwargs)
 
 
 def test_cameras_follow_the_robot_and_look_at_it():

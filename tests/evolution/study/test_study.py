@@ -13,7 +13,8 @@ import pytest
 
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli
-from evolution.journal import Journal, is_in_use
+from evolution.database import is_in_use
+from evolution.journal import Journal
 from evolution.study.analysis import analyse
 from evolution.study.arms import ArmError
 from evolution.study.cells import Processes, RayTasks, run_study

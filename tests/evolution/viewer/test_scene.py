@@ -34,7 +34,7 @@ def test_elements_springs_and_colours_are_those_of_the_model(page, crawling):
     qpos, temperature_c = crawling.pose(crawling.time_s)
     scene.draw(qpos, temperature_c, follow=False)
     physics = crawling.individual.physics
-    model = build_model(crawling.individual.morphology, physics, physics.strengths())
+    model = build_model(crawling.individual.morphology, physics)
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
@@ -54,7 +54,7 @@ def test_all_geoms_of_the_robot_are_there_with_their_sizes(page):
     robot = replace(nominal_robot(), physics=Physics(num_segments=4))
     scene = RobotScene(page.scene)
     scene.build(robot)
-    model = build_model(robot.morphology, robot.physics, robot.physics.strengths())
+    model = build_model(robot.morphology, robot.physics)
     drawn = 0
     for geom in np.flatnonzero(model.geom_bodyid):  # the others are the ground and its ruler
         name = f"/world/robot/{model.body(model.geom_bodyid[geom]).name}/geom{geom}"
@@ -92,6 +92,6 @@ def test_another_body_takes_the_place_of_the_first(page):
     scene.build(robot)
     wide = replace(robot, morphology=replace(robot.morphology, segment_radius_m=0.015))
     scene.build(wide)
-    model = build_model(wide.morphology, wide.physics, wide.physics.strengths())
+    model = build_model(wide.morphology, wide.physics)
     shell = model.geom("shell0").id
     assert node(page, f"/world/robot/element0/geom{shell}").radius == 0.015
