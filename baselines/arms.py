@@ -48,8 +48,8 @@ class TrainArm:
         """
         if base.get("gait_period_s", GAIT_PERIOD_S) != GAIT_PERIOD_S:
             raise ArmError(
-                f"base.gait_period_s = {base['gait_period_s']!r}: policies have one of "
-                f"{GAIT_PERIOD_S:g} s; say another in the arms that evolve"
+                f"base.gait_period_s = {base['gait_period_s']!r} is not for policies, whose gait period "
+                f"is {GAIT_PERIOD_S:g} s; set it in each arm that evolves instead"
             )
         return {name: base[name] for name in ("physics",) if name in base}
 

@@ -9,6 +9,8 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.callbacks import BaseCallback
 
+from caterpillar_env.errors import CaterpillarError
+
 
 class InitialDuty(BaseCallback):
     """Let an untrained policy power each spring for this share of the time.
@@ -23,7 +25,7 @@ class InitialDuty(BaseCallback):
     def __init__(self, duty: float) -> None:
         super().__init__()
         if not 0 < duty < 1:
-            raise ValueError(f"duty = {duty} must lie between 0 and 1")
+            raise CaterpillarError(f"duty = {duty} must lie between 0 and 1")
         self._duty = duty
 
     def _on_training_start(self) -> None:

@@ -39,7 +39,8 @@ class CoDesign(BaseCallback):
         super().__init__()
         if robots.num_envs % POPULATION:
             raise TrainingError(
-                f"n_envs = {robots.num_envs} must be a multiple of {POPULATION}, the bodies at a time"
+                f"n_envs = {robots.num_envs} must be a multiple of {POPULATION}, the number of "
+                "bodies tried at a time"
             )
         prior = RunConfig(
             prior="preprocessed" if config.design == "preprocessed" else "uniform",
@@ -63,10 +64,11 @@ class CoDesign(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         model: Any = self.model
-        if model.n_steps != round(self._robots.episode_s / self._robots.step_s):
+        steps = round(self._robots.episode_s / self._robots.step_s)
+        if model.n_steps != steps:
             raise TrainingError(
-                f"n_steps = {model.n_steps} must be an episode of {self._robots.episode_s:g} s where "
-                "the body is evolved"
+                f"n_steps = {model.n_steps} must be {steps}, an episode of "
+                f"{self._robots.episode_s:g} s, where the body is evolved"
             )
         self._tell()
         if self._frozen:

@@ -70,7 +70,9 @@ def summary(name: str, folders: Sequence[Path]) -> Summary:
     for folder in folders:
         points = evaluations(folder)
         if not points:
-            raise TrainingError(f"{folder} holds no evaluation yet")
+            raise TrainingError(
+                f"{folder} holds no evaluation yet: wait for its training, or leave it out"
+            )
         top = best_of(points)
         best.append(0.0 if top is None else top.distance_m)
         first.append(points[0].distance_m if points[0].failure == "ok" else 0.0)

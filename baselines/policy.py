@@ -135,7 +135,9 @@ class TrainedRobot:
         config = Record.load(folder).config
         rows = evaluations(folder)
         if not rows:
-            raise TrainingError(f"{folder} holds no policy that was evaluated")
+            raise TrainingError(
+                f"{folder} holds no policy that was evaluated: wait for its training, or train anew"
+            )
         farthest = best_of(rows) or max(rows, key=lambda row: row.distance_m)
         row = rows[-1] if which == "last" else farthest
         return cls(load(folder, which), config, row.morphology, config.physics, row.distance_m)

@@ -97,6 +97,8 @@ class Record(NamedTuple):
             data = json.loads((folder / RECORD).read_text(encoding="utf-8"))
             return cls(**{**data, "config": TrainConfig.from_dict(data["config"])})
         except OSError:
-            raise TrainingError(f"{folder} holds no training (no {RECORD})") from None
+            raise TrainingError(
+                f"{folder} holds no training (no {RECORD}); give a folder that caterpillar rl train made"
+            ) from None
         except (TypeError, ValueError, KeyError, CaterpillarError) as error:
             raise TrainingError(f"{folder / RECORD} cannot be read: {error}") from None

@@ -75,7 +75,7 @@ def train(
         **settings(config, randomization=config.randomize),
     )  # fmt: skip
     reserve_s = _check_budget(config, robots)
-    make_folder(folder, " (a training that was stopped is not gone on with but done anew)")
+    make_folder(folder, " (a training cannot be resumed: one that was stopped is done anew)")
     record = Record(config, learning.plain(), _versions(), finished=False, wall_s=None, simulated_s=0.0)
     record.save(folder)
     env: Any = VecMonitor(robots)
@@ -126,13 +126,13 @@ def _check_budget(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
     if reserve_s > config.budget_s:
         raise TrainingError(
             f"budget_s = {config.budget_s:g} is too little: a step of all {robots.num_envs} robots and "
-            f"two evaluations take {reserve_s:g}"
+            f"two evaluations take {reserve_s:g} simulated seconds"
         )
     least_s = _LEAST_ROLLOUTS * robots.num_envs * EPISODE_S
     if config.design != "fixed" and config.budget_s < least_s:
         raise TrainingError(
             f"budget_s = {config.budget_s:g} is too little for bodies to evolve: {_LEAST_ROLLOUTS} "
-            f"episodes of {robots.num_envs} robots take {least_s:g}"
+            f"episodes of {robots.num_envs} robots take {least_s:g} simulated seconds"
         )
     return reserve_s
 

@@ -18,6 +18,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 import caterpillar_env  # noqa: F401  registers the environments
+from caterpillar_env.errors import CaterpillarError
 
 #: What is told of an episode that ended, besides what stable-baselines3 asks for.
 EPISODE_INFO = ("distance", "energy_j", "time_s", "failure")
@@ -65,7 +66,7 @@ class CaterpillarVecEnv(VecEnv):
         """Start all rows anew, with the seeds and options that were set."""
         seeds = self._seeds if any(seed is not None for seed in self._seeds) else None
         if any(options != self._options[0] for options in self._options):
-            raise ValueError(
+            raise CaterpillarError(
                 "options must be the same for all rows; give bodies as a list: "
                 'set_options({"morphology": [...]})'
             )
@@ -110,7 +111,7 @@ class CaterpillarVecEnv(VecEnv):
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Rows are one environment: an attribute of all of them, or none."""
         if len(list(self._rows(indices))) != self.num_envs:
-            raise ValueError(f"{attr_name} can only be set for all {self.num_envs} rows at once")
+            raise CaterpillarError(f"{attr_name} can only be set for all {self.num_envs} rows at once")
         setattr(self._env.unwrapped, attr_name, value)
 
     def env_method(

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from caterpillar_env.errors import MorphologyError, PhysicsError, SimulationError, TimingError
+from caterpillar_env.errors import MorphologyError, SimulationError, TimingError
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, whole
 from caterpillar_env.model import joint_names
 from caterpillar_env.morphology import NAMES, Morphology
@@ -275,11 +275,11 @@ def check_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) -> 
     """The reset options as a new dict.
 
     Raises:
-        PhysicsError: not a mapping, or a key that is not in `known`.
+        SimulationError: not a mapping, or a key that is not in `known`.
     """
     if options is None:
         return {}
     if not isinstance(options, Mapping) or not set(options) <= set(known):
         got = sorted(map(str, set(options) - set(known))) if isinstance(options, Mapping) else options
-        raise PhysicsError(f"reset options are {', '.join(known)}; got {got}")
+        raise SimulationError(f"reset options are {', '.join(known)}; got {got}")
     return dict(options)

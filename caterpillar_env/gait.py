@@ -60,7 +60,8 @@ class GaitTimings:
     off_s: Array
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.period_s) and self.period_s > 0):
+        number = isinstance(self.period_s, (int, float, np.number))
+        if not number or not 0 < self.period_s < np.inf:
             raise TimingError(f"period_s = {self.period_s!r} must be a positive number of seconds")
         for name in ("on_s", "off_s"):
             times = np.array(getattr(self, name), dtype=np.float64)

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from caterpillar_env.errors import PhysicsError, TimingError
+from caterpillar_env.errors import PhysicsError, TimingError, from_mapping
 from caterpillar_env.gait import SPRINGS_PER_GAP, whole
 from caterpillar_env.sma import SmaSpring
-
-T = TypeVar("T")
 
 #: Thermal step: the grid on which springs are heated and the fraction handed to the actuators.
 SMA_STEP_S = 0.01
@@ -41,31 +39,33 @@ class Physics:
         PhysicsError: a value is of the wrong kind or out of range.
     """
 
-    num_segments: int = 4
+    num_segments: int = 4  #: of the robot, from 2
     spring: SmaSpring = field(default_factory=SmaSpring)
     neck_stiffness_n_m_rad: float = 6e-3  #: silicone neck, Dragon Skin 10
     neck_damping_n_m_s_rad: float = 2e-4  #: silicone, coil friction, anchors: see docs/physics.md
-    axial_stiffness_n_m: float = 500.0
-    axial_damping_n_s_m: float = 1.0
+    axial_stiffness_n_m: float = 500.0  #: of the prismatic joint within a segment
+    axial_damping_n_s_m: float = 1.0  #: likewise
     axial_range: float = 0.15  #: travel of the prismatic joint as a share of the segment length
     bend_ratio: float = 2.0  #: stiffness and damping of the intra-segment hinge over the neck's
-    bend_axis: BendAxis = "yaw"  #: the paper does not say
-    friction: float = 0.8
+    bend_axis: BendAxis = "yaw"  #: how a segment bends within; the paper does not say
+    friction: float = 0.8  #: of feet and shells on the ground
     mismatch_std: float = 0.05  #: spread of the springs' strength from one to another
     mismatch_seed: int = 0  #: which robot of that spread
-    spring_strengths: tuple[float, ...] | None = None  #: measured ones, instead of drawn
-    timestep_s: float = 0.005
-    integrator: Integrator = "discrete"
-    solver: Solver = "newton"
-    cone: Cone = "elliptic"
-    impratio: float = 100.0  #: grip: at 30 some robots creep 2 mm in 30 s
-    contact_time_constant_s: float = 0.02  #: MuJoCo's own default
-    solver_tolerance: float = 1e-8
-    solver_iterations: int = 100
+    spring_strengths: tuple[float, ...] | None = None  #: one a spring, instead of drawn ones
+    timestep_s: float = 0.005  #: of the mechanics: 0.01 over a whole number
+    integrator: Integrator = "discrete"  #: MuJoCo's
+    solver: Solver = "newton"  #: MuJoCo's, of contacts
+    cone: Cone = "elliptic"  #: MuJoCo's, of friction
+    impratio: float = 100.0  #: MuJoCo's, for grip: at 30 some robots creep 2 mm in 30 s
+    contact_time_constant_s: float = 0.02  #: the softness of contacts; MuJoCo's own default
+    solver_tolerance: float = 1e-8  #: MuJoCo's
+    solver_iterations: int = 100  #: MuJoCo's, at most
 
     def __post_init__(self) -> None:
         if isinstance(self.spring, Mapping):
-            object.__setattr__(self, "spring", from_mapping(SmaSpring, self.spring, "spring"))
+            object.__setattr__(
+                self, "spring", from_mapping(SmaSpring, self.spring, "spring", PhysicsError)
+            )
         for f in fields(self):
             value = getattr(self, f.name)
             if expected := self._expected(f.name, value):
@@ -76,8 +76,11 @@ class Physics:
             object.__setattr__(self, "spring_strengths", tuple(map(float, self.spring_strengths)))
         try:
             whole(SMA_STEP_S, self.timestep_s, "the thermal step")
-        except TimingError as error:
-            raise PhysicsError(f"timestep_s = {self.timestep_s:g} does not fit: {error}") from None
+        except TimingError:
+            raise PhysicsError(
+                f"timestep_s = {self.timestep_s:g} must go a whole number of times into the thermal "
+                f"step of {SMA_STEP_S:g} s: choose 0.01, 0.005, 0.0025 or 0.001, say"
+            ) from None
 
     def _expected(self, name: str, value: Any) -> str:
         """What a field must be, where it is not."""
@@ -116,7 +119,11 @@ class Physics:
         Raises:
             PhysicsError: an unknown field or an unusable value.
         """
-        return value if isinstance(value, Physics) else from_mapping(cls, value or {}, "physics")
+        return (
+            value
+            if isinstance(value, Physics)
+            else from_mapping(cls, value or {}, "physics", PhysicsError)
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """All fields by name, the spring's nested: plain JSON."""
@@ -138,16 +145,3 @@ class Physics:
 def mismatched(std: float, normal: NDArray[np.float64]) -> NDArray[np.float64]:
     """Strengths about 1 from standard normal draws, never below a tenth."""
     return np.maximum(1.0 + std * normal, 0.1)
-
-
-def from_mapping(kind: type[T], value: Any, what: str) -> T:
-    """A dataclass from some of its fields by name.
-
-    Raises:
-        PhysicsError: no mapping, or an unknown field; `what` says of what.
-    """
-    names = [f.name for f in fields(kind)]  # type: ignore[arg-type]
-    if not isinstance(value, Mapping) or not set(value) <= set(names):
-        got = ", ".join(map(str, set(value) - set(names))) if isinstance(value, Mapping) else repr(value)
-        raise PhysicsError(f"{what} takes a mapping with fields among {', '.join(names)}; got {got}")
-    return kind(**value)

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from caterpillar_env.errors import PhysicsError
+from caterpillar_env.errors import PhysicsError, from_mapping
 from caterpillar_env.model import trim_tendons
-from caterpillar_env.physics import Physics, from_mapping, mismatched
+from caterpillar_env.physics import Physics, mismatched
 
 Range = tuple[float, float]
 
@@ -57,8 +57,8 @@ class Randomization:
             least, open_ = _LEAST[f.name]
             if not (low <= high < math.inf and (low > least if open_ else low >= least)):
                 raise PhysicsError(
-                    f"randomization of {f.name} must be two numbers in order, "
-                    f"{'above' if open_ else 'from'} {least:g}; got {value!r}"
+                    f"randomization of {f.name} must be two numbers, the lesser first, each "
+                    f"{'above' if open_ else 'not below'} {least:g}; got {value!r}"
                 )
             object.__setattr__(self, f.name, (low, high))
 
@@ -70,7 +70,7 @@ class Randomization:
             PhysicsError: an unknown field or an unusable value.
         """
         if not isinstance(value, Randomization):
-            value = from_mapping(cls, {} if value is None else value, "randomization")
+            value = from_mapping(cls, {} if value is None else value, "randomization", PhysicsError)
         return None if value == cls() else value
 
     def check(self, physics: Physics) -> None:

@@ -90,7 +90,8 @@ class Simulation:
     def __init__(self, num_rows: int, physics: Physics, threads: int = 0) -> None:
         if num_rows < 1 or threads < 0:
             raise SimulationError(
-                f"a simulation needs num_rows >= 1 and threads >= 0; got {num_rows} and {threads}"
+                "a simulation needs num_rows >= 1 and threads >= 0 (0: all cores); got "
+                f"{num_rows} and {threads}"
             )
         self.physics = physics
         self.num_rows = num_rows

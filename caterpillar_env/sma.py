@@ -38,7 +38,7 @@ class SmaSpring:
 
     wire_diameter_m: float = 0.15e-3  #: BMX150-like micro coil
     coil_diameter_m: float = 0.47e-3  #: mean diameter of the coil
-    turns: float = 100.0
+    turns: float = 100.0  #: of the coil
     density_kg_m3: float = 6450.0  #: Dynalloy F1140 sheet
     specific_heat_j_kg_k: float = 500.0  #: fitted to the heating column of the sheet; 450-837 plausible
     latent_heat_j_kg: float = 24_200.0  #: Dynalloy F1140 sheet
@@ -49,13 +49,13 @@ class SmaSpring:
     austenite_finish_c: float = 78.0  #: Af
     martensite_start_c: float = 66.0  #: Ms, fitted to the cooling column of the sheet
     martensite_finish_c: float = 56.0  #: Mf, likewise
-    ambient_c: float = 25.0
+    ambient_c: float = 25.0  #: of the air
     austenite_stiffness_n_m: float = 35.0  #: secant: 0.70 N at 36 mm
     martensite_stiffness_n_m: float = 10.0  #: 0.20 N at 36 mm, the detwinning plateau
     austenite_rest_length_m: float = 0.016  #: solid length: turns x wire diameter, rounded up
-    martensite_rest_length_m: float = 0.016
+    martensite_rest_length_m: float = 0.016  #: likewise
     force_limit_n: float = 0.85  #: 300 MPa of shear in the wire
-    drive_current_a: float = 0.35  #: 90 % hot within about 1 s
+    drive_current_a: float = 0.35  #: while the power is on; 90 % hot within about 1 s
     cut_off_c: float = 120.0  #: over-temperature cut-off of the driver
 
     def __post_init__(self) -> None:
@@ -67,7 +67,10 @@ class SmaSpring:
             if value <= 0 and name not in ("latent_heat_j_kg", "ambient_c", "drive_current_a"):
                 raise PhysicsError(f"{name} = {value:g} must be positive")
         if self.latent_heat_j_kg < 0 or self.drive_current_a < 0:
-            raise PhysicsError("latent_heat_j_kg and drive_current_a must not be negative")
+            raise PhysicsError(
+                "latent_heat_j_kg and drive_current_a must not be negative; got "
+                f"{self.latent_heat_j_kg:g} and {self.drive_current_a:g}"
+            )
         ordered = (
             self.ambient_c < self.martensite_finish_c < self.martensite_start_c
             and self.martensite_finish_c < self.austenite_start_c < self.austenite_finish_c

@@ -26,7 +26,7 @@ _SUMMARIES = {
     "evolve": "evolve body and gait: the paper's genetic algorithm, CMA-ES or random search",
     "export": "write the evaluations of a run as CSV, Parquet or JSON",
     "preprocess": "print and draw what the physics-based preprocessor says of each gene",
-    "resume": "go on with a run that was stopped, or for more generations",
+    "resume": "go on with a run that was stopped, or with a finished one for more generations",
     "runs": "list the runs in a folder",
     "report": "write the figures and the page of a run or a study",
     "replay": "simulate a recorded robot once more and make a video",
@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     name, *rest = arguments or [""]
     if name not in commands:
-        what = f"no subcommand {name!r}" if name else "a subcommand is missing"
+        what = f"no command {name!r}" if name else "a command is missing"
         known = ", ".join(sorted(commands))
         print(
             f"caterpillar: error: {what}; choose from {known} (see caterpillar --help)", file=sys.stderr
@@ -75,20 +75,59 @@ def parse(kind: type[T], argv: Sequence[str], command: str, default: T | None = 
     import tyro
 
     noise = io.StringIO()
+    told = io.TextIOWrapper(io.BytesIO(), encoding=sys.stdout.encoding or "utf-8")  # else without boxes
     try:
-        with contextlib.redirect_stderr(noise):
+        with contextlib.redirect_stderr(noise), contextlib.redirect_stdout(told):
             return tyro.cli(
                 kind,
                 prog=f"caterpillar {command}",
                 args=list(argv),
                 default=tyro.MISSING_NONPROP if default is None else default,
-                config=(tyro.conf.OmitArgPrefixes,),
+                config=(tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone),
             )
     except SystemExit as stop:
         if stop.code:
-            line = re.sub(r"\s+", " ", re.sub(r"[╭╮╰╯─│]+", " ", noise.getvalue())).strip()
-            print(f"caterpillar {command}: error: {line}", file=sys.stderr)
+            line = f"caterpillar {command}: error: {_wrong(stop, noise.getvalue())}"
+            print(f"{line} (see caterpillar {command} --help)", file=sys.stderr)
+        else:
+            told.seek(0)
+            print(_NO_DEFAULT.sub(lambda m: re.sub(r"[^\s│]", " ", m[0]), told.read()), end="")
         raise
+
+
+_NO_DEFAULT = re.compile(r"\(default:[\s│]*(None)?\)")  #: what it is then, the text before tells
+#: What the parser says, and in plain English.
+_PLAIN = (
+    (r"╭.*╮|\A.*\n *-{5,}|[╰╯─│]+|-{5,}", " "),  # the box or, where there is no UTF-8, lines; the title
+    (r"\s+", " "),
+    (r" (Argument|For full) helptext.*", ""),
+    (r"^ Error parsing ", ""),
+    (r"no type matching .*? Got errors: - \S.*?: ", ""),
+    (r"invalid literal for int\(\) with base 10: (.*)", r"must be a whole number; got \1"),
+    (r"could not convert string to float: (.*)", r"must be a number; got \1"),
+    (r"Could not find valid parse for arguments: (.*)", r"must be numbers; got \1"),
+    (
+        r"invalid choice (.*) for argument '(\S+)'\. Expected one of \((.*?),?\)\.",
+        r"\2: must be one of \3; got \1",
+    ),
+    (r"'None', |, 'None'", ""),
+    (r"Missing value for argument '(\S+)'.*", r"\1: a value must follow it"),
+    (r"Failed to parse key-value pairs!", "must be groups of a name and all of its values"),
+    (r"Missing from .*?: (\S+) (.*) \(required\)", r"\1 is missing: \2"),
+    (r" Perhaps you meant: (--[^\s,]+).*", r"; perhaps \1 was meant"),
+)
+
+
+def _wrong(stop: SystemExit, said: str) -> str:
+    """What was wrong with the usage, in one line."""
+    error: BaseException | None = stop
+    while error is not None:  # one of our own is behind it where a value was no good
+        if isinstance(error, CaterpillarError):
+            return str(error)
+        error = error.__context__
+    for pattern, plain in _PLAIN:
+        said = re.sub(pattern, plain, said)
+    return said.strip()
 
 
 def console() -> Console:
@@ -108,6 +147,6 @@ def _overview(commands: Sequence[str]) -> str:
             "commands:",
             *lines,
             "",
-            "caterpillar COMMAND --help tells the options of one; --version the version.",
+            "caterpillar COMMAND --help tells its options, caterpillar --version the version.",
         ]
     )

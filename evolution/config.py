@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, from_mapping
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.physics import Physics
 from evolution.distributions import Distribution, Uniform
@@ -48,18 +47,18 @@ class RunConfig:
         ConfigError: a value is out of range.
     """
 
-    seed: int = 0  #: of the optimizer; the robot's own is mismatch_seed
-    generations: int = 50  #: how often the optimizer asks
-    budget_s: float | None = None  #: simulated seconds; once they are spent, it asks no more
-    optimizer: OptimizerName = "ga"
+    seed: int = 0  #: of all that the optimizer draws; the springs have --mismatch-seed
+    generations: int = 50  #: how often the optimizer asks for genomes
+    budget_s: float | None = None  #: simulated seconds; once spent, no generation begins
+    optimizer: OptimizerName = "ga"  #: ga: the paper's genetic algorithm; random: random search
     genome: GenomeKind = "shared"  #: full: times of every spring; per-segment: a body for every segment
     prior: Prior = "preprocessed"  #: what genes are drawn from; init- and mutation-only are the GA's
     floor_ratio: float = 3.0  #: greatest over least density of a preprocessed gene
     clipping: Clipping = "truncated"  #: what becomes of a Gaussian beyond the bounds of its gene
     objective: Objective = "distance"  #: what is maximised: m, or m per J of electrical energy
-    failed_fitness: float = 0.0  #: "low fitness" of a robot that fails
-    gait_period_s: float = GAIT_PERIOD_S
-    sampling: Sampling = "independent"  #: of random search
+    failed_fitness: float = 0.0  #: of a robot that fails, in the unit of the objective
+    gait_period_s: float = GAIT_PERIOD_S  #: a whole multiple of 0.1; on and off times end with it
+    sampling: Sampling = "independent"  #: how random search draws: one by one, or evenly spread
     ga: GaConfig = field(default_factory=GaConfig)
     cma: CmaConfig = field(default_factory=CmaConfig)
     physics: Physics = field(default_factory=Physics)
@@ -79,8 +78,8 @@ class RunConfig:
                 raise ConfigError(f"{name} = {getattr(self, name)!r} must be one of {known}")
         if self.optimizer != "ga" and self.prior in ("init-only", "mutation-only"):
             raise ConfigError(
-                f"prior = {self.prior!r} tells the genetic algorithm's first draw from its mutation; "
-                f"{self.optimizer} has but one: choose preprocessed, uniform or mirrored"
+                f"prior = {self.prior!r} is for the genetic algorithm alone; with "
+                f"{self.optimizer} choose preprocessed, uniform or mirrored"
             )
         if not 0 <= self.failed_fitness < np.inf:
             raise ConfigError(f"failed_fitness = {self.failed_fitness} must be finite and not negative")
@@ -93,18 +92,12 @@ class RunConfig:
         Raises:
             ConfigError: a field is unknown or unusable.
         """
-        kinds: dict[str, Callable[..., Any]] = {
-            "ga": lambda value: GaConfig(**value),
-            "cma": lambda value: CmaConfig(**value),
-            "physics": Physics.of,
+        kinds = {"ga": GaConfig, "cma": CmaConfig, "physics": Physics}
+        made = {
+            name: from_mapping(kinds[name], value, name, ConfigError) if name in kinds else value
+            for name, value in data.items()
         }
-        unknown = set(data) - {f.name for f in fields(cls)}
-        if unknown:
-            raise ConfigError(f"no such fields of a run's configuration: {', '.join(sorted(unknown))}")
-        try:
-            return cls(**{k: kinds[k](v) if k in kinds else v for k, v in data.items()})
-        except TypeError as error:
-            raise ConfigError(f"the configuration cannot be read: {error}") from None
+        return from_mapping(cls, made, "a run's configuration", ConfigError)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON."""

@@ -75,7 +75,8 @@ def is_in_use(folder: Path) -> bool:
 
 def locked(folder: Path) -> IO[str]:
     """A lock that ends with this process, however it ends."""
-    file = (folder / ".lock").open("w", encoding="utf-8")
+    with told(folder / ".lock"):
+        file = (folder / ".lock").open("w", encoding="utf-8")
     for attempt in range(10):
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -94,6 +95,6 @@ def told(path: Path) -> Iterator[None]:
         yield
     except (sqlite3.OperationalError, OSError) as error:
         raise JournalError(
-            f"cannot write {path}: {error} (is the disk full?). What was finished is safe; make room "
-            f"and `caterpillar resume {path.parent}`"
+            f"cannot read or write {path}: {error} (is the disk full?). What was finished is safe; make "
+            f"room and `caterpillar resume {path.parent}`"
         ) from None

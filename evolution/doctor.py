@@ -102,7 +102,7 @@ def processor() -> Iterator[Finding]:
         yield Finding(
             "threads", "note",
             f"{cores} by default, but this container is granted the time of {granted:g} cores",
-            f"evolve --threads {max(1, math.floor(granted))}",
+            f"caterpillar evolve --threads {max(1, math.floor(granted))}",
         )  # fmt: skip
     else:
         yield Finding("threads", "ok", f"{cores} by default")
@@ -190,8 +190,7 @@ def frame() -> dict[str, str]:
     import mujoco
     import numpy as np
 
-    from caterpillar_env.drawing.rendering import RobotRenderer, View
-    from caterpillar_env.errors import SimulationError
+    from caterpillar_env.drawing.rendering import RenderingError, RobotRenderer, View
     from caterpillar_env.model import build_model
     from caterpillar_env.morphology import Morphology
     from caterpillar_env.physics import Physics
@@ -202,7 +201,7 @@ def frame() -> dict[str, str]:
     cold_c = np.full(physics.num_springs, physics.spring.ambient_c)
     picture = renderer.draw(model.qpos0, cold_c, "rgb_array")
     if picture is None or picture.std() < 1:
-        raise SimulationError("the frame is empty")
+        raise RenderingError("the frame is empty")
     from OpenGL import GL
 
     drawn_by = GL.glGetString(GL.GL_RENDERER)

@@ -146,7 +146,7 @@ class Individual:
             CaterpillarError: a part is missing or unusable.
         """
         if not isinstance(data, dict) or data.get("format") != FORMAT:
-            raise IndividualError(f'expected JSON with "format": "{FORMAT}" (a best.json)')
+            raise IndividualError(f'no robot: expected JSON with "format": "{FORMAT}", as in best.json')
         try:
             physics = Physics.of(data["physics"])
             kind = "springs" if "springs" in data["gait"] else "pairs"
@@ -167,7 +167,7 @@ class Individual:
         except CaterpillarError:
             raise
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise IndividualError(f"the individual lacks or garbles {error}") from None
+            raise IndividualError(f"the robot lacks a part, or one is unusable: {error}") from None
 
     def save(self, path: Path) -> None:
         """Write `path`."""
@@ -186,7 +186,8 @@ class Individual:
             data = json.loads(file.read_text(encoding="utf-8"))
         except OSError as error:
             raise IndividualError(
-                f"cannot read {file}: {error.strerror}; give a run folder or the JSON file of one robot"
+                f"cannot read {file}: {error.strerror}; give a run folder or the JSON file of one "
+                f"robot (a trained policy crawls by caterpillar rl eval)"
             ) from None
         except ValueError as error:
             raise IndividualError(f"{file} is not JSON: {error}") from None

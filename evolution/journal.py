@@ -123,7 +123,9 @@ class Journal:
     def __init__(self, folder: Path, *, read_only: bool = False) -> None:
         self.path = folder / FILE
         if not self.path.is_file():
-            raise JournalError(f"{folder} holds no {FILE}: it is no run folder")
+            raise JournalError(
+                f"{folder} holds no {FILE}: it is no run folder; give one that caterpillar evolve made"
+            )
         self._lock = None if read_only else locked(folder)
         try:
             self._db = opened(self.path, read_only=read_only)
@@ -175,7 +177,10 @@ class Journal:
         except sqlite3.DatabaseError as error:
             raise self._damaged(str(error)) from None
         if application != _APPLICATION:
-            raise JournalError(f"{self.path} is an SQLite file of something else")
+            raise JournalError(
+                f"{self.path} is an SQLite file of something else; give a folder that caterpillar "
+                "evolve made"
+            )
         if schema > SCHEMA:
             raise JournalError(
                 f"{self.path} was written by a newer version of this package (schema {schema}, this one "
@@ -295,7 +300,9 @@ class Journal:
         """
         path = folder / FILE
         if not path.is_file():
-            raise JournalError(f"{folder} holds no {FILE}: it is no run folder")
+            raise JournalError(
+                f"{folder} holds no {FILE}: it is no run folder; give one that caterpillar evolve made"
+            )
         lock = locked(folder)
         kept: list[tuple[Any, ...]] = []
         try:

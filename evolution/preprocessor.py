@@ -194,11 +194,15 @@ def preprocess(
     if not 1 < floor_ratio < np.inf:
         raise CaterpillarError(f"floor_ratio = {floor_ratio!r} must be a number greater than 1")
     if len({k.name for k in parameters}) < len(parameters):
-        raise CaterpillarError("two design parameters have one name; give each its own")
+        raise CaterpillarError(
+            "each design parameter needs a name of its own; got " + ", ".join(k.name for k in parameters)
+        )
     bounds = {gene.parameter: (gene.lower, gene.upper) for gene in table}
     unknown = set(itertools.chain(*(k.gene_names for k in parameters))) - set(bounds)
     if unknown:
-        raise CaterpillarError(f"no such genes: {', '.join(sorted(unknown))}")
+        raise CaterpillarError(
+            f"no such genes: {', '.join(sorted(unknown))}; there are {', '.join(bounds)}"
+        )
     peaks = {k.name: best_node(k, bounds) for k in parameters}
     return [_prior(gene, peaks, floor_ratio) for gene in table]
 

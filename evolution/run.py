@@ -99,13 +99,14 @@ def evolve(
         RunError: an objective of your own gives something else than told above.
         EvaluationError: an evaluation raised an exception.
     """
-    make_folder(folder, f", or go on with a run by `caterpillar resume {folder}`")
     own = Own(
         None if optimizer is None else type(optimizer).__qualname__,
         None if objective is None else getattr(objective, "__qualname__", type(objective).__qualname__),
     )
-    with Journal.create(folder, _described(config, own)) as journal:
-        return _run(journal, config, optimizer, objective, evaluator, on_generation, on_progress)
+    with evaluator or LocalEvaluator() as workers:  # a cluster that is not there leaves no folder behind
+        make_folder(folder, f", or go on with a run by `caterpillar resume {folder}`")
+        with Journal.create(folder, _described(config, own)) as journal:
+            return _run(journal, config, optimizer, objective, workers, on_generation, on_progress)
 
 
 def resume(
@@ -153,7 +154,8 @@ def resume(
             journal.configure(_described(config, own))
         if on_warning is not None:
             _warn_of_versions(journal, on_warning)
-        return _run(journal, config, optimizer, objective, evaluator, on_generation, on_progress)
+        with evaluator or LocalEvaluator() as workers:
+            return _run(journal, config, optimizer, objective, workers, on_generation, on_progress)
 
 
 def read_configuration(journal: Journal) -> tuple[RunConfig, Own]:
@@ -185,7 +187,7 @@ def _run(
     config: RunConfig,
     optimizer: Optimizer | None,
     objective: Score | None,
-    evaluator: Evaluator | None,
+    workers: Evaluator,
     on_generation: Told | None,
     on_progress: Callable[[float], None] | None,
 ) -> RunResult:
@@ -194,24 +196,23 @@ def _run(
     session = journal.begin()
     record = _Record(config, objective, journal.path.parent)
     try:
-        with evaluator or LocalEvaluator() as workers:
-            for number in range(config.generations):
-                if config.budget_s is not None and record.simulated_s >= config.budget_s:
-                    break
-                genomes = encoding.check(optimizer.ask())
-                first = record.evaluations
-                parts = _replayed(known[first : first + len(genomes)], genomes, journal.path)
-                replayed = sum(len(part.failure) for part in parts)
-                for outcomes in _evaluated(config, genomes[replayed:], workers, on_progress):
-                    done = sum(len(part.failure) for part in parts)
-                    part_of = genomes[done : done + len(outcomes.failure)]
-                    journal.append(first + done, number, part_of, outcomes, session)
-                    parts.append(outcomes)
-                outcomes = Outcomes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-                optimizer.tell(genomes, scores(outcomes, config, objective))
-                told = record.add(number, genomes, outcomes, replayed=replayed == len(genomes))
-                if on_generation is not None:
-                    on_generation(told)
+        for number in range(config.generations):
+            if config.budget_s is not None and record.simulated_s >= config.budget_s:
+                break
+            genomes = encoding.check(optimizer.ask())
+            first = record.evaluations
+            parts = _replayed(known[first : first + len(genomes)], genomes, journal.path)
+            replayed = sum(len(part.failure) for part in parts)
+            for outcomes in _evaluated(config, genomes[replayed:], workers, on_progress):
+                done = sum(len(part.failure) for part in parts)
+                part_of = genomes[done : done + len(outcomes.failure)]
+                journal.append(first + done, number, part_of, outcomes, session)
+                parts.append(outcomes)
+            outcomes = Outcomes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+            optimizer.tell(genomes, scores(outcomes, config, objective))
+            told = record.add(number, genomes, outcomes, replayed=replayed == len(genomes))
+            if on_generation is not None:
+                on_generation(told)
         journal.finish(session)
     except KeyboardInterrupt:
         return RunResult(record.best, record.history, finished=False)

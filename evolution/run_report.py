@@ -231,7 +231,7 @@ def _commands(record: Record) -> list[tuple[str, str]]:
     name = shlex.quote(record.folder.resolve().name)
     said = [
         (f"caterpillar replay {name}", "simulate the best robot again, and film it"),
-        (f"caterpillar replay {name} --timestep 0.0005", "does it survive a finer timestep?"),
+        (f"caterpillar replay {name} --timestep-s 0.0005", "does it survive a finer timestep?"),
         (f"caterpillar replay {name} --generations 0 5 10 25 50", "the film of its evolution"),
         (f"caterpillar view {name}", "watch it in the browser, and change it by hand"),
     ] * (record.best is not None)

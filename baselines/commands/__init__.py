@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 
@@ -11,7 +12,7 @@ _NAMES = ("train", "eval", "compare")
 _USAGE = """usage: caterpillar rl {train,eval,compare} [OPTIONS]
 
 commands:
-  train    train a policy, at a budget of simulated seconds
+  train    train a policy, within a budget of simulated seconds
   eval     let a trained policy crawl, on other ground too
   compare  put trainings side by side: a table and learning curves
 
@@ -25,7 +26,13 @@ def rl_command(argv: Sequence[str]) -> int:
         print(_USAGE)
         return 0
     if name not in _NAMES:
-        raise CaterpillarError(f"choose from {', '.join(_NAMES)}; got {name or 'nothing'}")
+        what = f"no command {name!r}" if name else "a command is missing"
+        known = ", ".join(_NAMES)
+        print(
+            f"caterpillar rl: error: {what}; choose from {known} (see caterpillar rl --help)",
+            file=sys.stderr,
+        )
+        return 2
     try:
         import sb3_contrib  # noqa: F401
         import yaml  # noqa: F401
@@ -36,4 +43,8 @@ def rl_command(argv: Sequence[str]) -> int:
     command: Callable[[Sequence[str]], int] = getattr(
         import_module(f"baselines.commands.{name}"), f"{name}_command"
     )
-    return command(rest)
+    try:
+        return command(rest)
+    except CaterpillarError as error:
+        print(f"caterpillar rl {name}: error: {error}", file=sys.stderr)
+        return 1

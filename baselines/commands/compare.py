@@ -24,9 +24,15 @@ class CompareArgs:
     folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Folders of trainings; those that differ in the seed alone are one row."""
     out: Path = Path("learning.png")
-    """Where to draw the learning curves."""
+    """File to draw the learning curves in: .png, .svg, .pdf."""
     json: bool = False
-    """Print data instead of a table."""
+    """Print JSON instead of a table."""
+
+    def __post_init__(self) -> None:
+        if not self.folders:
+            raise CaterpillarError(
+                "give the folders of trainings to compare, as caterpillar rl train made them"
+            )
 
 
 def compare_command(argv: Sequence[str]) -> int:
@@ -34,8 +40,6 @@ def compare_command(argv: Sequence[str]) -> int:
     from baselines import comparison
 
     args = cli.parse(CompareArgs, argv, "rl compare")
-    if not args.folders:
-        raise CaterpillarError("give the folders of trainings to compare")
     groups = comparison.grouped({folder: Record.load(folder) for folder in args.folders})
     rows = [comparison.summary(name, folders) for name, folders in groups.items()]
     comparison.draw(groups, args.out)

@@ -27,35 +27,46 @@ class EvalArgs:
     folder: Annotated[Path, tyro.conf.Positional]
     """A training's folder."""
     which: Literal["best", "last", "random"] = "best"
-    """Which of the policies that were kept; random: actions drawn evenly from the space instead."""
+    """Which of the policies that were kept; random: no policy, actions drawn evenly."""
     stochastic: bool = False
     """Draw actions as in training, instead of taking the likeliest."""
     episodes: int = 1
-    """How many episodes; without drawn actions all would be alike."""
-    friction: tuple[float, ...] = ()
-    """Try these friction coefficients."""
+    """How many episodes; for more than one draw actions, or all would be alike."""
+    frictions: tuple[float, ...] = ()
+    """Crawl at each of these friction coefficients, instead of the training's."""
     mismatch_seeds: tuple[int, ...] = ()
-    """Try these robots: other draws of the springs' strengths."""
-    timestep: float | None = None
+    """Crawl as each of these robots, instead of the training's: draws of springs' strengths."""
+    timestep_s: float | None = None
     """Another timestep than the training's, in s."""
     json: bool = False
-    """Print data instead of sentences."""
+    """Print JSON instead of sentences."""
     video: bool = False
     """Write eval.mp4 into the folder, of the first episode."""
+
+    def __post_init__(self) -> None:
+        if self.episodes < 1:
+            raise CaterpillarError(f"episodes = {self.episodes} must be at least 1")
+        if self.video and self.drawn:
+            raise CaterpillarError(
+                "--video shows the likeliest actions: leave it out, or leave out --stochastic and "
+                "--which random"
+            )
+        if self.episodes > 1 and not self.drawn:
+            raise CaterpillarError(
+                f"{self.episodes} episodes of the likeliest actions are all alike: add --stochastic to "
+                "draw actions, or leave out --episodes"
+            )
+
+    @property
+    def drawn(self) -> bool:
+        """Whether actions are drawn."""
+        return self.stochastic or self.which == "random"
 
 
 def eval_command(argv: Sequence[str]) -> int:
     """`caterpillar rl eval`."""
     args = cli.parse(EvalArgs, argv, "rl eval")
-    if args.episodes < 1:
-        raise CaterpillarError(f"episodes = {args.episodes} must be at least 1")
-    drawn = args.stochastic or args.which == "random"
-    if args.video and drawn:
-        raise CaterpillarError("a film is of the likeliest actions: leave out --video, or drawn actions")
-    if args.episodes > 1 and not drawn:
-        raise CaterpillarError(
-            "episodes of the likeliest actions are all alike; add --stochastic to draw them"
-        )
+    drawn = args.drawn
     robot = TrainedRobot.load(args.folder, "last" if args.which == "last" else "best")
     if args.which == "random":
         space = judge(robot.config).action_space
@@ -64,7 +75,7 @@ def eval_command(argv: Sequence[str]) -> int:
     for physics in _settings(robot.physics, args):
         for episode in range(args.episodes):
             outcome = replace(robot, physics=physics).simulate(
-                args.timestep, seed=robot.config.seed + episode, deterministic=not drawn
+                args.timestep_s, seed=robot.config.seed + episode, deterministic=not drawn
             )
             rows.append(_row(physics, episode, outcome))
     if args.json:
@@ -82,7 +93,7 @@ def eval_command(argv: Sequence[str]) -> int:
             print(f"median {middle:.1f} mm, quartiles {low:.1f} to {high:.1f}, failures counted as 0")
     if args.video:
         first = replace(robot, physics=_settings(robot.physics, args)[0])
-        film(first, args.folder / "eval.mp4", cli.console(), args.timestep)
+        film(first, args.folder / "eval.mp4", cli.console(), args.timestep_s)
     return 0
 
 
@@ -90,7 +101,7 @@ def _settings(physics: Physics, args: EvalArgs) -> list[Physics]:
     """Every friction on every robot asked for."""
     return [
         replace(physics, friction=friction, mismatch_seed=seed)
-        for friction in args.friction or (physics.friction,)
+        for friction in args.frictions or (physics.friction,)
         for seed in args.mismatch_seeds or (physics.mismatch_seed,)
     ]
 

@@ -17,7 +17,7 @@ from baselines.training import train
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import Morphology
 from evolution import cli
-from evolution.commands.running import film
+from evolution.commands.running import check_threads, film
 from evolution.files import unused
 from evolution.individual import Individual
 
@@ -31,12 +31,19 @@ class TrainArgs:
     body: Path | None = None
     """Take the body of an evolved robot: its run folder, or its best.json."""
     video: bool = True
-    """Write best.mp4."""
+    """Write best.mp4, a video of the best robot."""
     track: Literal["nowhere", "tensorboard"] = "nowhere"
-    """tensorboard: log what the algorithm says of itself to the folder too."""
+    """tensorboard: log what the algorithm says of itself into the folder too."""
     threads: int = 0
     """Threads to simulate on; 0 for all cores."""
     config: TrainConfig = field(default_factory=TrainConfig)
+
+    def __post_init__(self) -> None:
+        check_threads(self.threads)
+        if self.body is not None and self.config.morphology != Morphology():
+            raise CaterpillarError(
+                f"--body {self.body} says all of the body: leave out its single numbers"
+            )
 
 
 def train_command(argv: Sequence[str]) -> int:
@@ -47,7 +54,8 @@ def train_command(argv: Sequence[str]) -> int:
         body = Individual.load(args.body).morphology
         if not isinstance(body, Morphology):
             raise CaterpillarError(
-                f"{args.body} has a body for every segment; a policy needs one for all"
+                f"{args.body} has a body for every segment, and a policy needs one for all: give a "
+                "robot evolved with --genome shared or full"
             )
         config = replace(config, morphology=body)
     name = f"{config.algorithm}-{config.mode}" + ("-bandit" if config.open_loop else "")

@@ -75,7 +75,9 @@ class View:
             if not isinstance(value, (int, np.integer)) or not 1 <= value <= 8192:
                 raise RenderingError(f"{name} must be a number of pixels from 1 to 8192; got {value!r}")
         if self.camera_name is not None and self.camera_name not in CAMERAS:
-            raise RenderingError(f"camera must be one of {', '.join(CAMERAS)}; got {self.camera_name!r}")
+            raise RenderingError(
+                f"camera_name must be None or one of {', '.join(CAMERAS)}; got {self.camera_name!r}"
+            )
 
 
 def _mend() -> str:

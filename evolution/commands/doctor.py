@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from evolution import cli
-from evolution.doctor import Finding, drawing, ffmpeg, installed, processor, simulating, trial
+from evolution import cli, doctor
+from evolution.doctor import Finding
 
 _MARKS = {"ok": "[green]ok[/green]", "note": "[yellow]--[/yellow]", "fail": "[red]NO[/red]"}
 _TRIAL_S = 8.0
@@ -26,26 +26,26 @@ class DoctorArgs:
     and `render` only.
     """
 
-    speed: bool = True
+    measure: bool = True
     """Measure the speed, for ten seconds at most."""
     json: bool = False
-    """Print data instead of a table."""
+    """Print JSON instead of a table."""
 
 
 def doctor_command(argv: Sequence[str]) -> int:
     """`caterpillar doctor`."""
     args = cli.parse(DoctorArgs, argv, "doctor")
     console = cli.console()
-    findings = [*installed(), *processor()]
+    findings = [*doctor.installed(), *doctor.processor()]
     console.print("drawing a frame ...")
-    findings += [drawing(), ffmpeg()]
-    console.print("measuring the speed ..." if args.speed else "simulating a robot ...")
-    speed = trial("speed", 50 if args.speed else 1, _TRIAL_S if args.speed else 0.0)
-    findings += simulating(speed, told=args.speed)
+    findings += [doctor.drawing(), doctor.ffmpeg()]
+    console.print("measuring the speed ..." if args.measure else "simulating a robot ...")
+    speed = doctor.trial("speed", 50 if args.measure else 1, _TRIAL_S if args.measure else 0.0)
+    findings += doctor.simulating(speed, told=args.measure)
     ok = all(f.status != "fail" for f in findings)
     if args.json:
         said = {"ok": ok, "findings": [f._asdict() for f in findings]}
-        print(json.dumps(said | {"speed": speed.data if args.speed else None}, indent=2))
+        print(json.dumps(said | {"speed": speed.data if args.measure else None}, indent=2))
     else:
         Console(width=None if sys.stdout.isatty() else 150).print(_table(findings))
         some = any(f.status == "note" for f in findings)

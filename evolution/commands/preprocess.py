@@ -25,21 +25,21 @@ class PreprocessArgs:
     """Print Table I: what the preprocessor says of each gene, and draw the densities."""
 
     json: bool = False
-    """Print data instead of a table: gene, kind, mu, sigma, lower, upper, reason."""
+    """Print JSON instead of a table: gene, kind, mu, sigma, lower, upper, reason."""
     out: Path = Path("preprocess.png")
-    """Where to draw the densities."""
+    """File to draw the densities in: .png, .svg, .pdf."""
     genome: GenomeKind = "shared"
     """full: times of every spring; per-segment: a body for every segment."""
     floor_ratio: float = 3.0
-    """Greatest over least density of a Gaussian; the paper's third is 3."""
+    """Greatest over least density of a preprocessed gene; the paper's third is 3."""
     clipping: Clipping = "truncated"
     """What becomes of a Gaussian beyond the bounds of its gene."""
     mirrored: bool = False
     """Every peak at the opposite end: the prior that misleads on purpose."""
     gait_period_s: float = GAIT_PERIOD_S
-    """Gait period, the upper bound of the times."""
+    """Period of the gait in s, a whole multiple of 0.1; on and off times end with it."""
     num_segments: int = 4
-    """Segments of the robot."""
+    """Number of segments of the robot."""
 
 
 def preprocess_command(argv: Sequence[str]) -> int:

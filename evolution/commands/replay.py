@@ -20,10 +20,6 @@ from evolution.records import leaders
 from evolution.video import Recording, VideoConfig, check_kind, write_video
 
 
-class ReplayError(CaterpillarError):
-    """There is no such robot to be replayed."""
-
-
 @dataclass(frozen=True)
 class ReplayArgs:
     """Simulate recorded robots once more, compare with their records, and make a video.
@@ -35,17 +31,31 @@ class ReplayArgs:
     source: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Run folders, or JSON files of one robot each (best.json)."""
     generations: tuple[int, ...] = ()
-    """Of one run: show the best robot so far after these generations; they come behind the folder."""
-    timestep: float | None = None
+    """Of one run, named before the flag: show the best robot so far after each of these generations."""
+    timestep_s: float | None = None
     """Another timestep than the recorded one, in s: 0.0005, say."""
     json: bool = False
-    """Print data instead of sentences; a list of them for several robots."""
+    """Print JSON instead of sentences; for several robots a list."""
     video: bool = True
-    """Make a video."""
+    """Write a video."""
     out: Path | None = None
-    """The video, .mp4 or .gif; by default replay.mp4 or, of generations, film.mp4 beside the source; for
-    several sources replay.mp4 here."""
+    """File to write, .mp4 or .gif; by default replay.mp4 or film.mp4 beside the source, or here."""
     picture: VideoConfig = field(default_factory=VideoConfig)
+
+    def __post_init__(self) -> None:
+        if not self.source:
+            raise CaterpillarError(
+                "give a run folder or the JSON file of a robot (best.json), or several"
+            )
+        if self.generations and (len(self.source) > 1 or min(self.generations) < 0):
+            raise CaterpillarError(
+                "--generations takes one run folder and numbers from 0; got "
+                f"{' '.join(map(str, self.source))} and {' '.join(map(str, self.generations))}"
+            )
+        if self.out is not None and not self.video:
+            raise CaterpillarError(
+                f"--out {self.out} names a video, and --no-video wants none: give one of them"
+            )
 
 
 def replay_command(argv: Sequence[str]) -> int:
@@ -56,13 +66,11 @@ def replay_command(argv: Sequence[str]) -> int:
     if args.video:
         check_kind(out)
         args.picture.layout(len(robots))
-    elif args.out is not None:
-        raise ReplayError(f"--out {args.out} names a video, and --no-video wants none: give one of them")
     recordings, told = [], []
     for title, robot in robots:
-        recording = Recording(robot, title, timestep_s=args.timestep)
+        recording = Recording(robot, title, timestep_s=args.timestep_s)
         recordings.append(recording)
-        said = _compared(recording, args.timestep)
+        said = _compared(recording, args.timestep_s)
         told.append({"title": title, **said} if len(robots) > 1 else said)
         if not args.json:
             print(f"{title}: " * (len(robots) > 1) + _sentence(said))
@@ -81,18 +89,11 @@ def replay_command(argv: Sequence[str]) -> int:
 
 def _robots(args: ReplayArgs) -> list[tuple[str, Individual]]:
     """The robots with their titles."""
-    if not args.source:
-        raise ReplayError("give a run folder or the JSON file of a robot (best.json), or several")
     if not args.generations:
         titles = [_title(path) for path in args.source]
         unique = len(set(titles)) == len(titles)
         names = titles if unique else list(map(str, args.source))
         return [(name, Individual.load(path)) for name, path in zip(names, args.source, strict=True)]
-    if len(args.source) > 1 or min(args.generations) < 0:
-        raise ReplayError(
-            "--generations takes one run folder and numbers from 0; got "
-            f"{' '.join(map(str, args.source))} and {' '.join(map(str, args.generations))}"
-        )
     best = leaders(args.source[0])
     last = len(best) - 1
     if max(args.generations) > last:

@@ -26,9 +26,9 @@ class ReportArgs:
     folder: Annotated[Path, tyro.conf.Positional]
     """The folder of the run or the study."""
     video: bool = True
-    """Of a run: make best.mp4, where it is not there or of an earlier robot."""
+    """Of a run: write best.mp4, where it is missing or shows an earlier robot."""
     winners: bool = True
-    """Of a study: look at each arm's best robot again, where that is not done yet: minutes."""
+    """Of a study: simulate each arm's best robot again, where not yet done; takes minutes."""
 
 
 def report_command(argv: Sequence[str]) -> int:

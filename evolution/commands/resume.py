@@ -22,9 +22,9 @@ class ResumeArgs:
     folder: Annotated[Path, tyro.conf.Positional]
     """The run folder."""
     generations: int | None = None
-    """Raise the number of generations."""
+    """Generations in all, more than so far; by default the run's own number."""
     repair: bool = False
-    """Keep what is whole of a damaged journal, first."""
+    """Mend a damaged journal first: keep the evaluations before the damage."""
     workers: WorkerArgs = field(default_factory=WorkerArgs)
 
 

@@ -20,6 +20,26 @@ from evolution.tracking import FOLDER as TENSORBOARD
 from evolution.tracking import TensorBoard
 
 
+def check_threads(threads: int) -> None:
+    """See that there can be so many.
+
+    Raises:
+        CaterpillarError: there cannot.
+    """
+    if threads < 0:
+        raise CaterpillarError(f"threads = {threads} must not be negative; 0 is all cores")
+
+
+def check_address(address: str | None, evaluator: str) -> None:
+    """See that an address of a cluster is not ignored.
+
+    Raises:
+        CaterpillarError: it would be.
+    """
+    if address is not None and evaluator != "ray":
+        raise CaterpillarError("--ray-address needs --evaluator ray: add that, or leave it out")
+
+
 @dataclass(frozen=True)
 class WorkerArgs:
     """Where a run is computed, which makes no difference to its results."""
@@ -27,17 +47,17 @@ class WorkerArgs:
     evaluator: Literal["local", "ray"] = "local"
     """local: threads of this machine; ray: a Ray cluster."""
     ray_address: str | None = None
-    """Address of a running cluster; by default one is started here and ended with the run."""
+    """Address of a running Ray cluster; by default one is started here, and ended with the run."""
     threads: int = 0
-    """Threads of the local evaluator; 0 for all cores."""
+    """Threads to simulate on, where the evaluator is local; 0 for all cores."""
     video: bool = True
-    """Write best.mp4."""
+    """Write best.mp4, a video of the best robot."""
     track: Literal["nowhere", "tensorboard"] = "nowhere"
-    """tensorboard: log to the run's folder too; a run that does goes on doing so when resumed."""
+    """tensorboard: log into the run folder too; a run that does goes on doing so when resumed."""
 
     def __post_init__(self) -> None:
-        if self.threads < 0:
-            raise CaterpillarError(f"threads = {self.threads} must not be negative; 0 is all cores")
+        check_threads(self.threads)
+        check_address(self.ray_address, self.evaluator)
 
     def make(self) -> Evaluator:
         """The evaluator."""

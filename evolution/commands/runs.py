@@ -26,9 +26,9 @@ class RunsArgs:
     """List the runs in a folder: what they are, how far they are, how good."""
 
     folder: Annotated[Path, tyro.conf.Positional] = Path("runs")
-    """Where to look, the folders in it too."""
+    """Folder to look in, and in the folders within it."""
     json: bool = False
-    """Print data instead of a table."""
+    """Print JSON instead of a table."""
 
 
 def runs_command(argv: Sequence[str]) -> int:

@@ -17,6 +17,7 @@ from rich.text import Text
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli, machine
 from evolution.commands.report import write_report
+from evolution.commands.running import check_address
 from evolution.study.cells import Processes, Progress, RayTasks, Workers, run_study
 from evolution.study.config import begin, preset, read_toml
 
@@ -30,22 +31,32 @@ class StudyArgs:
     preset: Literal["paper", "ablation", "pilot", "rl-pilot"] | None = None
     """Instead of a file: a study that comes with the package."""
     out: Path | None = None
-    """The study's folder; by default studies/ and the name of the file or preset."""
+    """Study folder to make or go on with; by default one under studies/, named as file or preset."""
     processes: int = 0
-    """Runs side by side, each on one thread; 0 for as many as cores."""
+    """Runs side by side, each on one thread; 0 for all cores."""
     evaluator: Literal["local", "ray"] = "local"
     """local: processes of this machine; ray: tasks of a Ray cluster that shares the folder."""
     ray_address: str | None = None
-    """Address of a running cluster; by default one is started here."""
+    """Address of a running Ray cluster; by default one is started here, and ended with the study."""
     winners: bool = True
-    """Look at each arm's best robot again for the report: minutes."""
+    """Simulate each arm's best robot again, more finely and varied; takes minutes."""
+
+    def __post_init__(self) -> None:
+        if (self.file is None) == (self.preset is None):
+            raise CaterpillarError(
+                "give either a TOML file or --preset paper, ablation, pilot or rl-pilot; got "
+                + ("neither" if self.file is None else "both")
+            )
+        if self.processes < 0:
+            raise CaterpillarError(f"processes = {self.processes} must not be negative; 0 is all cores")
+        if self.evaluator == "ray" and self.processes:
+            raise CaterpillarError("--processes is for the local evaluator: leave it out with ray")
+        check_address(self.ray_address, self.evaluator)
 
 
 def study_command(argv: Sequence[str]) -> int:
     """`caterpillar study`."""
     args = cli.parse(StudyArgs, argv, "study")
-    if (args.file is None) == (args.preset is None):
-        raise CaterpillarError("give either a TOML file or --preset paper, ablation, pilot or rl-pilot")
     config = read_toml(args.file) if args.file else preset(str(args.preset))
     folder = args.out or Path("studies") / (args.file.stem if args.file else str(args.preset))
     begin(config, folder)

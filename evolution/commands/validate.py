@@ -28,9 +28,9 @@ class ValidateArgs:
     settings: bool = False
     """Also weigh numerical settings against one another (five minutes more); writes settings.json."""
     json: bool = False
-    """Print data instead of a table."""
+    """Print JSON instead of a table."""
     out: Path = Path("validation")
-    """Folder for the plots and validation.json."""
+    """Folder to make for the plots and validation.json, unless it is there."""
 
 
 def groups(*, quick: bool) -> dict[str, Callable[[], list[Check]]]:

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CmaConfig:
-    """Settings of the strategy.
+    """Settings of CMA-ES.
 
     Raises:
         OptimizerError: a value is out of range.

@@ -18,17 +18,17 @@ Crossover = Literal["uniform", "one-point", "two-point"]
 
 @dataclass(frozen=True)
 class GaConfig:
-    """Settings of the algorithm; the paper gives the first two, the others are our readings.
+    """Settings of the genetic algorithm; the paper gives the first two, the others are our readings.
 
     Raises:
         OptimizerError: a value is out of range.
     """
 
-    population: int = 200
+    population: int = 200  #: genomes of a generation, of random search too
     hall_of_fame: int = 10  #: best genomes carried over unchanged and not evaluated again
-    crossover: Crossover = "uniform"
+    crossover: Crossover = "uniform"  #: how the genes of two parents are mixed
     crossover_rate: float = 0.9  #: share of children with two parents; the others copy one
-    mutation_rate: float = 0.05  #: chance of each gene to be drawn afresh: one of twenty
+    mutation_rate: float = 0.05  #: chance of each gene to be drawn afresh; at 0.05 one of twenty is
     elites_breed: bool = True  #: whether the hall of fame also takes part in the roulette
 
     def __post_init__(self) -> None:
@@ -46,8 +46,6 @@ class GaConfig:
             raise OptimizerError(
                 f"crossover = {self.crossover!r} must be one of {', '.join(get_args(Crossover))}"
             )
-        if not self.elites_breed and self.population - self.hall_of_fame < 1:
-            raise OptimizerError("without breeding elites somebody else must be left to breed")
 
 
 def roulette(fitness: Array, draws: int, rng: np.random.Generator) -> NDArray[np.intp]:

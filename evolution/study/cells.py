@@ -54,7 +54,7 @@ class Processes:
 
     def __init__(self, count: int) -> None:
         if count < 1:
-            raise StudyError(f"a study needs at least 1 process; got {count}")
+            raise StudyError(f"a study needs at least 1 process; got {count} (--processes 0: all cores)")
         self._count = count
         self._context = multiprocessing.get_context("spawn")
         self._running: dict[Cell, tuple[Any, Connection]] = {}

@@ -18,7 +18,7 @@ import numpy as np
 
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import EPISODE_S
-from evolution.files import write_json
+from evolution.files import write_json, writing
 from evolution.study import arms as kinds
 from evolution.study.arms import Arm
 
@@ -59,13 +59,13 @@ class StudyConfig:
 
     def __post_init__(self) -> None:
         if not self.arms:
-            raise StudyError("a study needs arms: [arms.NAME] with what is special about each")
+            raise StudyError("a study needs arms: give each a table [arms.NAME] with its settings")
         for name in ("seeds", "pilot_seeds"):
             seeds = getattr(self, name)
             whole = all(isinstance(s, int) and s >= 0 for s in seeds)
             if not seeds or not whole or len(set(seeds)) < len(seeds):
                 raise StudyError(
-                    f"{name} must be different whole numbers, at least one; got {list(seeds)}"
+                    f"{name} must be different whole numbers from 0, at least one; got {list(seeds)}"
                 )
         if both := set(self.seeds) & set(self.pilot_seeds):
             raise StudyError(
@@ -76,7 +76,8 @@ class StudyConfig:
             raise StudyError(
                 f"reference = {self.reference!r} is no arm; arms are {', '.join(self.arms)}"
             )
-        if not EPISODE_S <= self.budget_s < np.inf:
+        number = isinstance(self.budget_s, (int, float))
+        if not number or not EPISODE_S <= self.budget_s < np.inf:
             raise StudyError(
                 f"budget_s = {self.budget_s!r} must be at least {EPISODE_S:g}, the simulated seconds of "
                 "one evaluation"
@@ -114,6 +115,9 @@ class StudyConfig:
                 if not isinstance(fields[name], (list, tuple)):
                     raise StudyError(f"{name} must be a list; got {fields[name]!r}")
                 fields[name] = tuple(fields[name])
+        for name, table in (("base", base), ("arms", arms)):
+            if not isinstance(table, Mapping):
+                raise StudyError(f"{name} must be a table; got {table!r}")
         made = {}
         for name, special in arms.items():
             if not isinstance(special, Mapping):
@@ -158,7 +162,9 @@ def read_toml(path: Path) -> StudyConfig:
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise StudyError(f"cannot read {path}: {error.strerror}") from None
+        raise StudyError(
+            f"cannot read {path}: {error.strerror}; give the TOML file of a study, or --preset"
+        ) from None
     except ValueError as error:
         raise StudyError(f"{path} is not TOML: {error}") from None
     try:
@@ -180,8 +186,10 @@ def begin(config: StudyConfig, folder: Path) -> None:
     """
     file = folder / SETTINGS
     if not file.exists():
-        if folder.exists() and any(folder.iterdir()):
-            raise StudyError(f"{folder} is not empty and holds no study; choose another with --out")
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            if any(folder.iterdir()):
+                raise StudyError(f"{folder} is not empty and holds no study; choose another with --out")
     else:
         before = load(folder)
         changed = [
@@ -192,11 +200,11 @@ def begin(config: StudyConfig, folder: Path) -> None:
         changed += [f"arms.{a}" for a, c in before.arms.items() if config.arms.get(a, c) != c]
         if changed:
             raise StudyError(
-                f"{folder} holds a study with other {', '.join(changed)}; its cells would not compare: "
+                f"{folder} holds a study with other {', '.join(changed)}; they cannot be compared: "
                 "choose another folder with --out"
             )
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(file, config.to_dict())
+    with writing(folder):
+        write_json(file, config.to_dict())
 
 
 def load(folder: Path) -> StudyConfig:
@@ -208,10 +216,15 @@ def load(folder: Path) -> StudyConfig:
     try:
         data = json.loads((folder / SETTINGS).read_text(encoding="utf-8"))
     except OSError:
-        raise StudyError(f"{folder} holds no study (no {SETTINGS})") from None
+        raise StudyError(
+            f"{folder} holds no study (no {SETTINGS}); give a folder that caterpillar study made"
+        ) from None
     except ValueError as error:
         raise StudyError(f"{folder / SETTINGS} is not JSON: {error}") from None
-    return StudyConfig.from_dict(data)
+    try:
+        return StudyConfig.from_dict(data)
+    except CaterpillarError as error:
+        raise StudyError(f"{folder / SETTINGS}: {error}") from None
 
 
 def is_finished(config: StudyConfig, cell: Cell, study: Path) -> bool:

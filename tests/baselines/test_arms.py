@@ -97,7 +97,7 @@ def test_record_that_cannot_be_read_is_not_taken_for_none(finished, tmp_path):
 
 
 def test_gait_period_that_policies_do_not_have_is_refused():
-    with pytest.raises(ArmError, match=r"policies have one of 5 s"):
+    with pytest.raises(ArmError, match="not for policies, whose gait period is 5 s"):
         TrainArm.shared({"gait_period_s": 4.0})
 
 

@@ -327,7 +327,7 @@ def test_unknown_option_is_told_with_the_known_ones():
             "gait_period_s of 0.25 s must be a whole multiple of 0.1",
         ),
         ({"episode_s": 0.0}, TimingError, "episode_s of 0 s must be a whole multiple"),
-        ({"physics": {"legs": 6}}, PhysicsError, "got legs"),
+        ({"physics": {"legs": 6}}, PhysicsError, "physics has no legs"),
         ({"morphology": [1, 2]}, MorphologyError, "8 numbers"),
         ({"render_mode": "ascii"}, SimulationError, "render_mode must be None or one of .*rgb_array"),
         ({"threads": -1}, SimulationError, "threads >= 0"),

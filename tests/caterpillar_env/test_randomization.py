@@ -39,9 +39,7 @@ def arrays(model):
 def test_a_heavier_robot_is_one_that_was_built_heavier():
     body = Morphology()
     light = build_model(body, P, scenery=False)
-    heavy = build_model(
-        Morphology(segment_mass_kg=1.25 * body.segment_mass_kg), P, scenery=False
-    )
+    heavy = build_model(Morphology(segment_mass_kg=1.25 * body.segment_mass_kg), P, scenery=False)
     made = varied(light, P, conditions(mass=1.25))
     for name, value in arrays(heavy).items():
         np.testing.assert_allclose(getattr(made, name), value, rtol=1e-12, atol=1e-15, err_msg=name)
@@ -129,11 +127,11 @@ def test_one_range_does_not_change_the_draws_of_another():
 @pytest.mark.parametrize(
     ("ranges", "message"),
     [
-        ({"friction": (1.0, 0.5)}, "randomization of friction must be two numbers in order, from 0"),
-        ({"friction": 0.5}, "must be two numbers in order"),
-        ({"mass": (0.0, 1.0)}, "randomization of mass must be two numbers in order, above 0"),
+        ({"friction": (1.0, 0.5)}, "friction must be two numbers, the lesser first, each not below 0"),
+        ({"friction": 0.5}, "must be two numbers, the lesser first"),
+        ({"mass": (0.0, 1.0)}, "mass must be two numbers, the lesser first, each above 0"),
         ({"ambient_c": (20.0, np.inf)}, "randomization of ambient_c"),
-        ({"luck": (0, 1)}, "randomization takes a mapping with fields among friction, mismatch_std"),
+        ({"luck": (0, 1)}, "randomization has no luck; its fields are friction, mismatch_std"),
         ([1], "randomization takes a mapping"),
     ],
     ids=str,

@@ -105,7 +105,7 @@ def subcommand(arguments, **kwargs):
         ["replay", "file"],
         ["replay", "broken.json"],
         ["replay", "other.json"],
-        ["replay", "broken.json", "--timestep", "fine"],
+        ["replay", "broken.json", "--timestep-s", "fine"],
     ],
     ids=" ".join,
 )
@@ -140,7 +140,7 @@ def test_errors_name_what_was_wrong(arguments, hint, elsewhere, capsys):
 @pytest.mark.parametrize("timestep", ["0", "-0.005", "0.003", "nan", "inf"])
 def test_replay_at_an_impossible_timestep_is_one_line(timestep, recorded, capsys):
     capsys.readouterr()
-    assert status(["replay", str(recorded), "--no-video", "--timestep", timestep]) in (1, 2)
+    assert status(["replay", str(recorded), "--no-video", "--timestep-s", timestep]) in (1, 2)
     said = capsys.readouterr()
     assert said.out == ""
     assert len(said.err.splitlines()) == 1
@@ -163,7 +163,7 @@ def test_overview_names_all_subcommands(flag, capsys):
     [
         ("evolve", ["--preset", "--population", "--generations", "--seed", "--out", "--no-video"]),
         ("preprocess", ["--json", "--out", "--floor-ratio"]),
-        ("replay", ["--timestep", "--json", "--no-video"]),
+        ("replay", ["--timestep-s", "--json", "--no-video"]),
     ],
 )
 def test_help_names_the_flags_and_succeeds(command, flags, capsys):
@@ -203,7 +203,7 @@ def test_replay_of_a_record_is_identical(recorded, capsys):
 def test_replay_at_a_finer_timestep_gives_another_number(recorded, capsys):
     capsys.readouterr()
     arguments = ["replay", str(recorded / "best.json"), "--no-video", "--json"]
-    assert cli.main([*arguments, "--timestep", "0.0025"]) == 0
+    assert cli.main([*arguments, "--timestep-s", "0.0025"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["timestep_s"] == 0.0025
     assert said["identical"] is False
@@ -217,7 +217,7 @@ def test_process_ends_with_the_status_and_one_line(tmp_path):
     assert out == ""
     assert err == (
         "caterpillar replay: error: cannot read nothing.json: No such file or directory; give a run "
-        "folder or the JSON file of one robot\n"
+        "folder or the JSON file of one robot (a trained policy crawls by caterpillar rl eval)\n"
     )
 
 

@@ -21,7 +21,7 @@ def trials(monkeypatch):
             return Trial(works[function, backend])
         return Trial(None, "it crashed (SIGSEGV)")
 
-    monkeypatch.setattr(doctor, "_trial", trial)
+    monkeypatch.setattr(doctor, "trial", trial)
     return works
 
 
@@ -75,8 +75,8 @@ def test_extra_that_is_not_whole_is_no_failure():
 
 @pytest.mark.parametrize(
     ("cores", "quota", "status", "mend"),
-    [(4, None, "ok", ""), (4, 8.0, "ok", ""), (8, 2.5, "note", "evolve --threads 2"),
-     (8, 0.5, "note", "evolve --threads 1")],
+    [(4, None, "ok", ""), (4, 8.0, "ok", ""), (8, 2.5, "note", "caterpillar evolve --threads 2"),
+     (8, 0.5, "note", "caterpillar evolve --threads 1")],
 )  # fmt: skip
 def test_threads_beyond_what_a_container_grants_are_told(monkeypatch, cores, quota, status, mend):
     monkeypatch.setattr("evolution.machine.cores", lambda: cores)
@@ -169,7 +169,7 @@ def test_what_goes_wrong_in_a_trial_is_a_finding(monkeypatch, tmp_path, body, wh
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(doctor, "_PATIENCE_S", 2.0)
-    assert doctor._trial("frame") == Trial(None, why)
+    assert doctor.trial("frame") == Trial(None, why)
 
 
 # caterpillar doctor
@@ -222,7 +222,7 @@ def test_this_machine_passes(capsys):
 @pytest.mark.slow
 def test_wrong_backend_is_a_finding_of_the_real_thing(monkeypatch, capsys):
     monkeypatch.setenv("MUJOCO_GL", "bogus")
-    assert cli.main(["doctor", "--no-speed"]) == 1
+    assert cli.main(["doctor", "--no-measure"]) == 1
     said = capsys.readouterr().out
     assert "invalid value for environment variable MUJOCO_GL: bogus" in said
     assert "unset MUJOCO_GL" in said

@@ -326,7 +326,7 @@ def test_configuration_survives_json():
         optimizer="cma-es", prior="uniform", cma=CmaConfig(cma_population=9), physics=SHORT
     )  # fmt: skip
     assert RunConfig.from_dict(config.to_dict()) == config
-    with pytest.raises(ConfigError, match="no such fields of a run's configuration: luck"):
+    with pytest.raises(ConfigError, match="a run's configuration has no luck; its fields are seed"):
         RunConfig.from_dict({**config.to_dict(), "luck": 1})
 
 

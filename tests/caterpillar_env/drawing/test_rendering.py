@@ -255,7 +255,7 @@ def test_every_camera_sees_the_robot_and_none_sees_the_same(camera):
 @pytest.mark.parametrize(
     ("wrong", "match"),
     [
-        ({"camera_name": "front"}, "camera must be one of track, side, top; got 'front'"),
+        ({"camera_name": "front"}, "camera_name must be None or one of track, side, top; got 'front'"),
         ({"width": 0}, "width must be a number of pixels from 1 to 8192; got 0"),
         ({"height": 4.5}, r"height .* got 4\.5"),
     ],

@@ -41,7 +41,7 @@ def test_it_serves_a_page_on_loopback_and_ends_on_ctrl_c(tmp_path):
     ("arguments", "hint"),
     [
         (["nothing.json"], "cannot read nothing.json"),
-        (["other.json"], "other.json: expected JSON with"),
+        (["other.json"], "other.json: no robot: expected JSON with"),
         (["slow.json"], "the gait period of 0.25 s must be a whole multiple of 0.1 s"),
         (["--port", "70000"], "port 70000 of 127.0.0.1: it is not in 0 to 65535"),
         (["--port", "-1"], "choose another with --port, or 0 for any free one"),
