@@ -89,7 +89,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
 
     | key | what | otherwise |
     |---|---|---|
-    | `friction` | of feet and shells on the ground | `physics.friction` |
+    | `friction` | of feet and elements on the ground | `physics.friction` |
     | `mismatch_std` | spread of the springs' strengths, all of which are drawn anew | `physics.strengths()` |
     | `spring_force` | factor on the force of all springs | 1 |
     | `mass` | factor on the mass of the body | 1 |

@@ -42,12 +42,12 @@ class SmaSpring:
     density_kg_m3: float = 6450.0  #: Dynalloy F1140 sheet
     specific_heat_j_kg_k: float = 500.0  #: fitted to the heating column of the sheet; 450-837 plausible
     latent_heat_j_kg: float = 24_200.0  #: Dynalloy F1140 sheet
-    resistivity_ohm_m: float = 0.98e-6  #: 55.5 ohm/m at 0.15 mm, Dynalloy F1140 sheet
+    resistivity_ohm_m: float = 0.98e-6  #: 55 ohm/m at 0.15 mm, Dynalloy F1140 sheet
     convection_w_m2_k: float = 110.0  #: Churchill-Chu cylinder and radiation at 0.15 mm
     coil_shielding: float = 0.7  #: share of a straight wire's convection; judgement, 0.5-1
     austenite_start_c: float = 68.0  #: As, under load
     austenite_finish_c: float = 78.0  #: Af
-    martensite_start_c: float = 66.0  #: Ms, fitted to the cooling column of the sheet
+    martensite_start_c: float = 66.0  #: Ms, judgement: see docs/sources.md
     martensite_finish_c: float = 56.0  #: Mf, likewise
     ambient_c: float = 25.0  #: of the air
     austenite_stiffness_n_m: float = 35.0  #: secant: 0.70 N at 36 mm

@@ -47,7 +47,7 @@ CREATE TABLE evaluations (
     evaluation INTEGER PRIMARY KEY,
     generation INTEGER NOT NULL,
     genome BLOB NOT NULL,
-    status TEXT NOT NULL,
+    failure TEXT NOT NULL,
     distance_m REAL NOT NULL,
     energy_j REAL NOT NULL,
     simulated_s REAL NOT NULL,
@@ -338,8 +338,8 @@ class Journal:
 
 
 def _evaluation(values: Sequence[Any]) -> Evaluation:
-    number, generation, genome, status, distance_m, energy_j, simulated_s, session = values
-    failure = next(f for f in Failure if f.label == status)
+    number, generation, genome, name, distance_m, energy_j, simulated_s, session = values
+    failure = next(f for f in Failure if f.label == name)
     return Evaluation(
         number, generation, np.frombuffer(genome, dtype="<f8").astype(np.float64), failure,
         distance_m, energy_j, simulated_s, session,

@@ -27,7 +27,7 @@ class DoctorArgs:
     """
 
     measure: bool = True
-    """Measure the speed, for ten seconds at most."""
+    """Measure the speed, for about eight seconds."""
     json: bool = False
     """Print JSON instead of a table."""
 

@@ -188,7 +188,7 @@ class EvolutionArm:
             path = f"{(folder / FILE).resolve().as_uri()}?mode=ro"
             with closing(sqlite3.connect(path, uri=True)) as db:
                 spent, best = db.execute(
-                    "SELECT total(simulated_s), max(CASE status WHEN 'ok' THEN distance_m ELSE 0 END) "
+                    "SELECT total(simulated_s), max(CASE failure WHEN 'ok' THEN distance_m ELSE 0 END) "
                     "FROM evaluations"
                 ).fetchone()
         except sqlite3.Error:

@@ -57,7 +57,7 @@ def test_every_bit_comes_back(tmp_path):
 def test_any_sqlite_tool_can_read_it(tmp_path):
     genomes, _ = written(tmp_path)
     db = sqlite3.connect(tmp_path / FILE)
-    rows = db.execute("SELECT genome, status FROM evaluations WHERE generation = 1").fetchall()
+    rows = db.execute("SELECT genome, failure FROM evaluations WHERE generation = 1").fetchall()
     assert np.array_equal([np.frombuffer(g, "<f8") for g, _ in rows], genomes[3:])
     assert {status for _, status in rows} <= {f.label for f in Failure}
     assert json.loads(db.execute("SELECT configuration FROM run").fetchone()[0]) == CONFIGURATION
