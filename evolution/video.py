@@ -9,7 +9,7 @@ from contextlib import ExitStack, closing, contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import imageio_ffmpeg
 import mujoco
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from caterpillar_env.drawing.overlay import Readout
 from caterpillar_env.drawing.rendering import RobotRenderer, View
+from caterpillar_env.drawing.scenery import Camera
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.model import build_model
 from caterpillar_env.morphology import length_m, segments_of
@@ -27,7 +28,6 @@ from caterpillar_env.task import label
 from evolution.fitness import Outcomes
 from evolution.individual import Robot
 
-Camera = Literal["track", "side", "top"]
 Frame = NDArray[np.uint8]
 
 #: By kind of file. Half of it is enough for GIF, which has to count in hundredths of a second.

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from baselines.config import TrainConfig
 from baselines.policy import TrainedRobot
@@ -85,10 +84,7 @@ class _Display:
     def __init__(self, config: TrainConfig, console: Console) -> None:
         self._budget_s, self._console = config.budget_s, console
         self._best_m: float | None = None
-        self._bar = Progress(
-            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.0f} %, left"),
-            TimeRemainingColumn(), console=console, disable=not console.is_terminal,
-        )  # fmt: skip
+        self._bar = cli.bar(console)
         self._task = self._bar.add_task("training", total=config.budget_s)
 
     def __enter__(self) -> _Display:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal, get_args
 
 import mujoco
 
 from caterpillar_env.morphology import Morphology, length_m
 
 #: Cameras of a drawn robot. All follow it: obliquely, at its side, from above.
-CAMERAS = ("track", "side", "top")
+Camera = Literal["track", "side", "top"]
+CAMERAS: tuple[Camera, ...] = get_args(Camera)
 RULER = "ruler"
 
 _RULER_CM = (-50, 150)
@@ -21,7 +22,7 @@ _PIXELS_PER_CM = 32
 _SKY, _HORIZON = [0.80, 0.87, 0.93], [0.93, 0.95, 0.96]
 
 #: Where cameras stand from the centre of mass, in body lengths, and their x and y axes in the picture.
-_VIEWS = {
+_VIEWS: dict[Camera, tuple[list[float], list[float]]] = {
     "track": ([0.0, -1.55, 0.85], [1, 0, 0, 0, 0.48, 0.877]),
     "side": ([0.0, -1.75, 0.42], [1, 0, 0, 0, 0.233, 0.972]),
     "top": ([0.0, 0.0, 2.0], [1, 0, 0, 0, 1, 0]),

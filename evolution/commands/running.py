@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Literal
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from caterpillar_env.errors import CaterpillarError
+from evolution import cli
 from evolution.config import RunConfig
 from evolution.evaluators import Evaluator, LocalEvaluator, RayEvaluator
 from evolution.individual import Robot
@@ -85,24 +85,16 @@ class Reporter:
 
     def __init__(self, config: RunConfig, console: Console) -> None:
         self._config, self._console = config, console
-        self._bar: Progress | None = None
-        self._task: TaskID | None = None
+        self._bar = cli.bar(console)
+        self._task = self._bar.add_task("generation 0", total=1.0)
         self._done, self._step, self._replayed = 0.0, 1.0 / config.generations, 0.0
 
     def __enter__(self) -> Reporter:
-        if self._console.is_terminal:
-            self._bar = Progress(
-                TextColumn("{task.description}"), BarColumn(),
-                TextColumn("{task.percentage:.0f} %, left"), TimeRemainingColumn(),
-                console=self._console,
-            )  # fmt: skip
-            self._bar.start()
-            self._task = self._bar.add_task("generation 0", total=1.0)
+        self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        self._bar.stop()
 
     def generation(self, told: Generation) -> None:
         """Print what a generation brought."""
@@ -118,21 +110,17 @@ class Reporter:
             f"mean {1000 * told.mean_m:5.1f} mm  failed: {failures}  "
             f"simulated {told.simulated_s:,.0f} s"
         )
-        if self._bar is None or self._task is None:
-            if told.replayed:
-                self._replayed = done  # it took no time, and says nothing of what is left
-            computed = done - self._replayed
-            if computed > 0:
-                line += f"  left {told.elapsed_s / computed * (1.0 - done) / 60:.1f} min"
-            self._console.print(line, soft_wrap=True)
-        else:
-            self._console.print(line)
-            self._bar.update(self._task, completed=done, description=f"generation {told.number + 1}")
+        if told.replayed:
+            self._replayed = done  # it took no time, and says nothing of what is left
+        computed = done - self._replayed
+        if not self._console.is_terminal and computed > 0:
+            line += f"  left {told.elapsed_s / computed * (1.0 - done) / 60:.1f} min"
+        self._console.print(line, soft_wrap=True)
+        self._bar.update(self._task, completed=done, description=f"generation {told.number + 1}")
 
     def progress(self, share: float) -> None:
         """Move the bar within a generation."""
-        if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, completed=self._done + share * self._step)
+        self._bar.update(self._task, completed=self._done + share * self._step)
 
 
 def finish(result: RunResult, folder: Path, console: Console, *, video: bool) -> int:

@@ -10,8 +10,6 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console, Group
 from rich.live import Live
-from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Bar
 from rich.text import Text
 
 from caterpillar_env.errors import CaterpillarError
@@ -83,10 +81,7 @@ class _Display:
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._bar = Bar(
-            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.0f} %, left"),
-            TimeRemainingColumn(), console=console,
-        )  # fmt: skip
+        self._bar = cli.bar(console)
         self._task = self._bar.add_task("study", total=1.0)
         self._live = Live(console=console, refresh_per_second=2)
         self._told = -1
