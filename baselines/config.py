@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import yaml
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.utils import LinearSchedule
 
-from caterpillar_env.errors import CaterpillarError, from_mapping
+from caterpillar_env.errors import CaterpillarError, check_choice, from_mapping
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
@@ -58,9 +58,7 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         for name, kind in (("algorithm", AlgorithmName), ("mode", Mode), ("design", Design)):
-            if getattr(self, name) not in get_args(kind):
-                known = ", ".join(get_args(kind))
-                raise TrainingError(f"{name} = {getattr(self, name)!r} must be one of {known}")
+            check_choice(name, getattr(self, name), kind, TrainingError)
         if not 0 <= self.seed < 2**32:
             raise TrainingError(f"seed = {self.seed} must be a whole number from 0 to {2**32 - 1}")
         if not EPISODE_S <= self.budget_s < np.inf:

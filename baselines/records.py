@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from baselines.config import TrainConfig, TrainingError
-from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import NAMES, Morphology
-from evolution.files import write_json
+from evolution.files import read, write_json
 
 RECORD = "training.json"
 EVALUATIONS = "evaluations.csv"
@@ -93,12 +91,13 @@ class Record(NamedTuple):
         Raises:
             TrainingError: the folder holds no training, or one that cannot be read.
         """
-        try:
-            data = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-            return cls(**{**data, "config": TrainConfig.from_dict(data["config"])})
-        except OSError:
-            raise TrainingError(
-                f"{folder} holds no training (no {RECORD}); give a folder that caterpillar rl train made"
-            ) from None
-        except (TypeError, ValueError, KeyError, CaterpillarError) as error:
-            raise TrainingError(f"{folder / RECORD} cannot be read: {error}") from None
+
+        def made(data: dict[str, Any]) -> Record:
+            try:
+                return cls(**{**data, "config": TrainConfig.from_dict(data["config"])})
+            except (TypeError, KeyError) as error:
+                raise TrainingError(
+                    f"no record of a training: it lacks or has too much of {error}"
+                ) from None
+
+        return read(folder / RECORD, made, TrainingError, "give a folder that caterpillar rl train made")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 T = TypeVar("T")
 
@@ -49,3 +49,10 @@ def from_mapping(kind: type[T], value: Any, what: str, error: type[CaterpillarEr
         if known[name] in (int, float) and isinstance(given, str):
             raise error(f"{name} = {given!r} must be a number")
     return kind(**value)
+
+
+def check_choice(name: str, value: Any, choices: Any, error: type[CaterpillarError]) -> None:
+    """See that a value is one of a `Literal`'s; `error` is raised where it is not."""
+    known = get_args(choices)
+    if value not in known:
+        raise error(f"{name} = {value!r} must be one of {', '.join(known)}")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
-from caterpillar_env.errors import CaterpillarError, from_mapping
+from caterpillar_env.errors import CaterpillarError, check_choice, from_mapping
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.physics import Physics
 from evolution.distributions import Distribution, Uniform
@@ -73,9 +73,7 @@ class RunConfig:
                 f"budget_s = {self.budget_s} must be a positive number of simulated seconds"
             )
         for name, kind in _CHOICES.items():
-            if getattr(self, name) not in get_args(kind):
-                known = ", ".join(get_args(kind))
-                raise ConfigError(f"{name} = {getattr(self, name)!r} must be one of {known}")
+            check_choice(name, getattr(self, name), kind, ConfigError)
         if self.optimizer != "ga" and self.prior in ("init-only", "mutation-only"):
             raise ConfigError(
                 f"prior = {self.prior!r} is for the genetic algorithm alone; with "

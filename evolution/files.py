@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from caterpillar_env.errors import CaterpillarError
+
+T = TypeVar("T")
 
 
 class FileError(CaterpillarError):
@@ -61,3 +63,32 @@ def write_json(path: Path, data: Any) -> None:
     partial = path.with_name(f".{path.name}.partial")
     partial.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
     os.replace(partial, path)
+
+
+def read(
+    path: Path,
+    make: Callable[[Any], T],
+    error: type[CaterpillarError],
+    missing: str,
+    parse: Callable[[str], Any] = json.loads,
+) -> T:
+    """What a file holds.
+
+    Args:
+        path: of the file.
+        make: takes its parsed text.
+        error: raised where there is no such file, or nothing in it that can be used.
+        missing: what is to be done where there is none.
+        parse: takes its text.
+    """
+    try:
+        data = parse(path.read_text(encoding="utf-8"))
+    except OSError as problem:
+        raise error(f"cannot read {path}: {problem.strerror}; {missing}") from None
+    except ValueError as problem:
+        kind = path.suffix.removeprefix(".").upper() or "text"
+        raise error(f"{path} is not {kind}: {problem}") from None
+    try:
+        return make(data)
+    except CaterpillarError as problem:
+        raise error(f"{path}: {problem}") from None

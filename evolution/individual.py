@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from caterpillar_env.gait import GaitTimings, pair_names, spring_names
 from caterpillar_env.morphology import Body, Morphology, segments_of
 from caterpillar_env.physics import Physics
 from caterpillar_env.simulation import Trace
-from evolution.files import write_json
+from evolution.files import read, write_json
 from evolution.fitness import Outcomes, simulate
 from evolution.genome import Encoding, gene_values
 
@@ -180,21 +181,12 @@ class Individual:
         Raises:
             CaterpillarError: no such file, no JSON, or no individual in it.
         """
-        file = path
-        try:
-            file = path / "best.json" if path.is_dir() else path
-            data = json.loads(file.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise IndividualError(
-                f"cannot read {file}: {error.strerror}; give a run folder or the JSON file of one "
-                f"robot (a trained policy crawls by caterpillar rl eval)"
-            ) from None
-        except ValueError as error:
-            raise IndividualError(f"{file} is not JSON: {error}") from None
-        try:
-            return cls.from_dict(data)
-        except CaterpillarError as error:
-            raise IndividualError(f"{file}: {error}") from None
+        otherwise = (
+            "give a run folder or the JSON file of one robot (a trained policy crawls by caterpillar rl "
+            "eval)"
+        )
+        file = path / "best.json" if os.path.isdir(path) else path
+        return read(file, cls.from_dict, IndividualError, otherwise)
 
 
 def digest_of(data: dict[str, Any]) -> str:

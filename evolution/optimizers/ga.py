@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from caterpillar_env.errors import check_choice
 from evolution.distributions import Distribution
 from evolution.optimizers.base import OptimizerError, check_told
 
@@ -42,10 +43,7 @@ class GaConfig:
         for name in ("crossover_rate", "mutation_rate"):
             if not 0 <= getattr(self, name) <= 1:
                 raise OptimizerError(f"{name} = {getattr(self, name)} must lie in [0, 1]")
-        if self.crossover not in get_args(Crossover):
-            raise OptimizerError(
-                f"crossover = {self.crossover!r} must be one of {', '.join(get_args(Crossover))}"
-            )
+        check_choice("crossover", self.crossover, Crossover, OptimizerError)
 
 
 def roulette(fitness: Array, draws: int, rng: np.random.Generator) -> NDArray[np.intp]:

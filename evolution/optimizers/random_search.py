@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from caterpillar_env.errors import check_choice
 from evolution.distributions import Distribution
 from evolution.optimizers.base import OptimizerError, check_told
 
@@ -38,9 +39,7 @@ class RandomSearch:
     ) -> None:
         if population < 1:
             raise OptimizerError(f"population = {population} must be at least 1")
-        if sampling not in get_args(Sampling):
-            known = ", ".join(get_args(Sampling))
-            raise OptimizerError(f"sampling = {sampling!r} must be one of {known}")
+        check_choice("sampling", sampling, Sampling, OptimizerError)
         self._distributions = list(distributions)
         self._population = population
         self._rng = rng

@@ -6,7 +6,6 @@ A study is a folder that can be left and gone on with at any point: `study.json`
 
 from __future__ import annotations
 
-import json
 import re
 import tomllib
 from collections.abc import Mapping
@@ -18,7 +17,7 @@ import numpy as np
 
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import EPISODE_S
-from evolution.files import write_json, writing
+from evolution.files import read, write_json, writing
 from evolution.study import arms as kinds
 from evolution.study.arms import Arm
 
@@ -159,18 +158,8 @@ def read_toml(path: Path) -> StudyConfig:
     Raises:
         StudyError: no such file, no TOML, or no study in it.
     """
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise StudyError(
-            f"cannot read {path}: {error.strerror}; give the TOML file of a study, or --preset"
-        ) from None
-    except ValueError as error:
-        raise StudyError(f"{path} is not TOML: {error}") from None
-    try:
-        return StudyConfig.from_dict(data)
-    except CaterpillarError as error:
-        raise StudyError(f"{path}: {error}") from None
+    missing = "give the TOML file of a study, or --preset"
+    return read(path, StudyConfig.from_dict, StudyError, missing, tomllib.loads)
 
 
 def preset(name: str) -> StudyConfig:
@@ -213,18 +202,8 @@ def load(folder: Path) -> StudyConfig:
     Raises:
         StudyError: the folder holds no study, or one that cannot be read.
     """
-    try:
-        data = json.loads((folder / SETTINGS).read_text(encoding="utf-8"))
-    except OSError:
-        raise StudyError(
-            f"{folder} holds no study (no {SETTINGS}); give a folder that caterpillar study made"
-        ) from None
-    except ValueError as error:
-        raise StudyError(f"{folder / SETTINGS} is not JSON: {error}") from None
-    try:
-        return StudyConfig.from_dict(data)
-    except CaterpillarError as error:
-        raise StudyError(f"{folder / SETTINGS}: {error}") from None
+    missing = "give a folder that caterpillar study made"
+    return read(folder / SETTINGS, StudyConfig.from_dict, StudyError, missing)
 
 
 def is_finished(config: StudyConfig, cell: Cell, study: Path) -> bool:

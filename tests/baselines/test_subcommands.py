@@ -83,9 +83,9 @@ def test_trainings_are_compared(folder, tmp_path, capsys):
     [
         ([], "a command is missing; choose from train, eval, compare"),
         (["teach"], "no command 'teach'; choose from train, eval, compare"),
-        (["eval", "nowhere"], "nowhere holds no training"),
+        (["eval", "nowhere"], "cannot read nowhere/training.json"),
         (["compare"], "give the folders of trainings"),
-        (["compare", "nowhere"], "nowhere holds no training"),
+        (["compare", "nowhere"], "cannot read nowhere/training.json"),
         (["train", "--body", "nowhere"], "cannot read nowhere"),
     ],
     ids=str,
