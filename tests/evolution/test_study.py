@@ -57,7 +57,7 @@ def changed(**fields):
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
+def finished(tmp_path_factory, few_draws):
     """A study that was run to its end from the command line, and what it printed."""
     home = tmp_path_factory.mktemp("study")
     (home / "small.toml").write_text(TOML)
@@ -297,6 +297,20 @@ def test_thresholds_come_from_the_pilot_seeds_and_stay(finished):
     assert study.thresholds(config, finished, frame.clear()) == pytest.approx(
         [0.5 * top, 0.75 * top, top]
     )
+
+
+def test_thresholds_are_shares_of_the_pilots_median_and_wait_for_all_of_them(tmp_path):
+    config = StudyConfig.from_dict(changed(pilot_seeds=[7, 8, 9]))
+    ends_m = {0: 0.5, 7: 0.09, 8: 0.01, 9: 0.02}
+    rows = [
+        {
+            "arm": "ga-uniform", "seed": seed, "evaluation": 0, "generation": 0, "failure": "ok",
+            "distance_m": end_m, "simulated_s": 30.0,
+        }
+        for seed, end_m in ends_m.items()
+    ]  # fmt: skip
+    assert study.thresholds(config, tmp_path, polars.DataFrame(rows[:-1])) is None
+    assert study.thresholds(config, tmp_path, polars.DataFrame(rows)) == [0.01, 0.015, 0.02]
 
 
 def test_pilot_seeds_are_in_no_table(finished):
