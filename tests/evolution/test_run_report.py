@@ -38,7 +38,6 @@ COLOURS = """() => {
         axis: style('figure svg [style*="stroke: #000000"]').stroke,
     };
 }"""
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 class Fixed:
@@ -322,28 +321,22 @@ def filmed(folder, tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium (Debian: apt install chromium)")
 @pytest.mark.parametrize("width_px", [1100, 400])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_browser_shows_the_page_without_errors_or_requests(filmed, width_px, scheme):
-    sync_api = pytest.importorskip("playwright.sync_api")
+def test_browser_shows_the_page_without_errors_or_requests(browser, filmed, width_px, scheme):
     address, complaints, asked = filmed.as_uri(), [], []
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"]
-        )
-        window = browser.new_page(viewport={"width": width_px, "height": 800}, color_scheme=scheme)
-        window.on("console", lambda message: complaints.append(message.text))
-        window.on("pageerror", lambda error: complaints.append(str(error)))
-        window.on("request", lambda request: asked.append(request.url))
-        window.goto(address)
-        wide = window.evaluate("document.documentElement.scrollWidth")
-        film_s = window.evaluate("document.querySelector('video').duration")
-        colours = window.evaluate(COLOURS)
-        window.emulate_media(media="print")
-        printed = window.evaluate(COLOURS)
-        pages = window.pdf(format="A4").count(b"/Type /Page\n")
-        browser.close()
+    window = browser.new_page(viewport={"width": width_px, "height": 800}, color_scheme=scheme)
+    window.on("console", lambda message: complaints.append(message.text))
+    window.on("pageerror", lambda error: complaints.append(str(error)))
+    window.on("request", lambda request: asked.append(request.url))
+    window.goto(address)
+    wide = window.evaluate("document.documentElement.scrollWidth")
+    film_s = window.evaluate("document.querySelector('video').duration")
+    colours = window.evaluate(COLOURS)
+    window.emulate_media(media="print")
+    printed = window.evaluate(COLOURS)
+    pages = window.pdf(format="A4").count(b"/Type /Page\n")
+    window.close()
     assert complaints == []
     assert [url for url in asked if not url.startswith("data:")] == [address]
     assert wide <= width_px  # only tables scroll sideways
