@@ -11,9 +11,9 @@ import pytest
 
 from caterpillar_env.model import Physics
 from evolution.evaluators import EvaluationError, LocalEvaluator, RayEvaluator, Task
-from evolution.fitness import Outcomes
+from evolution.fitness import Outcomes, evaluate
 
-TASK = Task(Physics(num_segments=2, timestep_s=0.01))
+TASK = Task(Physics(num_segments=2, timestep_s=0.01), gait_period_s=2.0)
 GENOMES = np.random.default_rng(0).random((12, 12))
 CHUNKS = [GENOMES[:5], GENOMES[5:6], GENOMES[6:]]
 
@@ -28,7 +28,7 @@ def same(one, other):
 
 @pytest.fixture(scope="module")
 def reference():
-    return TASK.evaluate(GENOMES, threads=1)
+    return evaluate(GENOMES, TASK.physics, TASK.gait_period_s, threads=1)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 4])
@@ -113,7 +113,7 @@ def test_chunk_of_a_killed_worker_is_evaluated_again(cluster, reference, tmp_pat
     cluster.cloudpickle.register_pickle_by_value(sys.modules[__name__])
     KillsItsWorkers.marks = tmp_path
     with RayEvaluator() as evaluator:
-        results = list(evaluator.map(KillsItsWorkers(TASK.physics), [GENOMES] * 4))
+        results = list(evaluator.map(KillsItsWorkers(TASK.physics, TASK.gait_period_s), [GENOMES] * 4))
     killed = {path.read_text() for path in tmp_path.iterdir()}
     assert len(killed) == 2
     assert len(results) == 4
