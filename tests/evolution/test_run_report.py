@@ -189,10 +189,14 @@ def test_runs_of_every_kind_have_a_page(config, said, tmp_path):
     assert page.count('<svg class="bar"') == len(config.genes())
 
 
-def test_uniform_priors_are_told_as_uniform(tmp_path):
-    evolve(replace(SHORT, prior="uniform"), tmp_path / "run", evaluator=LocalEvaluator(1))
-    rows = run_report.gene_rows(run_report.Record.read(tmp_path / "run"))
-    assert all(row.peak is None and row.band == (0.0, 1.0) for row in rows)
+@pytest.mark.parametrize(
+    ("prior", "peaks"), [("uniform", 0), ("preprocessed", 6), ("init-only", 6), ("mutation-only", 6)]
+)
+def test_priors_are_told_wherever_they_are_used_and_uniform_ones_as_uniform(folder, prior, peaks):
+    record = run_report.Record.read(folder)
+    rows = run_report.gene_rows(replace(record, config=replace(CONFIG, prior=prior)))
+    assert sum(row.peak is not None for row in rows) == peaks
+    assert all(row.band == (0.0, 1.0) for row in rows if row.peak is None)
 
 
 def test_run_of_an_optimizer_of_ones_own_is_named_after_it(tmp_path):
