@@ -37,7 +37,8 @@ def trained(tmp_path_factory):
 def test_budget_counts_training_and_evaluation_and_is_spent(trained):
     _, result = trained
     assert result.finished
-    last = result.points[-1].simulated_s
+    first, last = result.points[0], result.points[-1].simulated_s
+    assert first.simulated_s == pytest.approx(16 * 0.5 + first.time_s)  # a step of all, an evaluation
     # A step of all robots and two evaluations are kept back for the end.
     assert 300.0 - 16 * 0.5 - 2 * 30.0 - 5.0 < last <= 300.0
     assert len(result.points) >= 3
