@@ -9,7 +9,6 @@ import pytest
 
 from baselines.arms import TrainArm
 from baselines.records import RECORD, evaluations
-from evolution import cli
 from evolution.study import winners
 from evolution.study.arms import ArmError
 from evolution.study.config import Cell, StudyConfig, StudyError, load, preset
@@ -43,13 +42,9 @@ evaluations = 3
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    home = tmp_path_factory.mktemp("rl-study")
-    (home / "mixed.toml").write_text(TOML)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(home)
-        assert cli.main(["study", "mixed.toml", "--no-winners"]) == 0
-    return home / "studies" / "mixed"
+def finished(studied):
+    """A study of both kinds of arms that was run to its end."""
+    return studied(TOML)
 
 
 def test_both_kinds_share_the_physics_and_the_budget(finished):

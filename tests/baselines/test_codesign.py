@@ -1,10 +1,13 @@
 """Bodies that evolve around a policy."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from baselines.codesign import FROZEN_SHARE, POPULATION, CoDesign
 from baselines.config import TrainConfig, TrainingError
+from baselines.policy import TrainedRobot
 from baselines.records import evaluations
 from baselines.training import train
 from baselines.vec_env import CaterpillarVecEnv
@@ -68,6 +71,41 @@ def test_policy_is_judged_in_the_body_of_the_moment(watched):
     assert result.points[-1].morphology == bodies[-1][0]
     assert evaluations(folder) == result.points
     assert result.points[0].morphology != result.points[-1].morphology
+    last = TrainedRobot.load(folder, "last")
+    assert last.morphology == bodies[-1][0]
+    assert last.simulate().distance_m[0] == last.fitness_m
+
+
+class Env:
+    """Stands for a training's environment: its bodies, and that it was started anew."""
+
+    def set_options(self, options):
+        self.bodies = options["morphology"]
+
+    def reset(self):
+        return "fresh"
+
+
+def test_fitness_of_a_body_is_the_mean_of_its_robots_first_episodes(monkeypatch):
+    robots = SimpleNamespace(num_envs=16, episode_s=30.0, step_s=5.0)
+    designs = CoDesign(TrainConfig(mode="timing", design="uniform"), robots, lambda: 0.0)
+    env, told = Env(), []
+    designs.model = SimpleNamespace(n_steps=6, get_env=lambda: env)
+    monkeypatch.setattr(designs._strategy, "tell", lambda *both: told.append(both))
+    designs._on_rollout_start()
+    assert designs.model._last_obs == "fresh"
+    assert designs.model._last_episode_starts.tolist() == [True] * 16
+    bodies = env.bodies
+    ends = [{"distance": 0.01 * row, "failure": "ok"} for row in range(16)]
+    ends[3]["failure"] = "tipped"
+    ends[5]["distance"] = -0.5
+    for infos in (ends, [{"distance": 9.0, "failure": "ok"}] * 16):  # another episode of each
+        designs.locals = {"dones": np.ones(16, dtype=bool), "infos": infos}
+        designs._on_step()
+    designs._on_rollout_start()
+    ((genomes, fitness),) = told
+    assert [Morphology.from_unit(genome) for genome in genomes] == bodies[::2] == bodies[1::2]
+    assert fitness == pytest.approx([0.005, 0.01, 0.02, 0.065, 0.085, 0.105, 0.125, 0.145])
 
 
 def test_prior_sets_where_the_search_begins():

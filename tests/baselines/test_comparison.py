@@ -1,6 +1,7 @@
 """Trainings side by side: who belongs together, and what they came to."""
 
 import pytest
+from matplotlib.figure import Figure
 
 from baselines import comparison
 from baselines.config import TrainConfig, TrainingError
@@ -59,9 +60,15 @@ def test_titles_say_what_is_special(fields, said):
     assert comparison.title(TrainConfig(**fields)) == said
 
 
-def test_curves_are_drawn(folders, tmp_path):
+def test_curves_are_drawn_with_failures_at_nothing(folders, tmp_path, monkeypatch):
+    drawn, save = [], Figure.savefig
+    monkeypatch.setattr(
+        Figure, "savefig", lambda self, *a, **k: (drawn.append(self), save(self, *a, **k))
+    )
     comparison.draw(comparison.grouped({f: Record.load(f) for f in folders}), tmp_path / "x.png")
     assert (tmp_path / "x.png").stat().st_size > 10_000
+    curves = [curve.get_xydata().tolist() for curve in drawn[0].axes[0].lines]  # 1000 s, mm
+    assert curves == [[[0, 1], [0.1, 50], [0.2, 0]], [[0, 0], [0.1, 20]], [[0, -10]]]
     with pytest.raises(CaterpillarError, match="choose another place with --out"):
         comparison.draw({}, tmp_path / "nowhere" / "x.png")
 

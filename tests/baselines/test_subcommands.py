@@ -48,6 +48,9 @@ def test_best_policy_crawls_again(folder, capsys):
     assert cli.main(["rl", "eval", str(folder)]) == 0
     robot = TrainedRobot.load(folder)
     assert f"{1000 * robot.fitness_m:.1f} mm" in capsys.readouterr().out
+    assert cli.main(["rl", "eval", str(folder), "--timestep-s", "0.005", "--json"]) == 0
+    (finer,) = json.loads(capsys.readouterr().out)
+    assert finer["distance_m"] == robot.simulate(0.005).distance_m[0] != robot.fitness_m
 
 
 def test_other_ground_and_other_robots_are_tried(folder, capsys):

@@ -38,7 +38,8 @@ def trained(tmp_path_factory):
 def test_budget_counts_training_and_evaluation_and_is_spent(trained):
     _, result = trained
     assert result.finished
-    last = result.points[-1].simulated_s
+    first, last = result.points[0], result.points[-1].simulated_s
+    assert first.simulated_s == pytest.approx(16 * 0.5 + first.time_s)  # a step of all, an evaluation
     # A step of all robots and two evaluations are kept back for the end.
     assert 300.0 - 16 * 0.5 - 2 * 30.0 - 5.0 < last <= 300.0
     assert len(result.points) >= 3
@@ -72,11 +73,43 @@ def test_best_policy_crawls_as_far_again(trained):
     assert again == robot.fitness_m == max(p.distance_m for p in result.points if p.failure == "ok")
 
 
+class Watches:
+    """A policy that never acts, and what it saw."""
+
+    def __init__(self):
+        self.seen = []
+
+    def predict(self, observation, deterministic):
+        self.seen.append(observation)
+        return np.zeros((1, 4)), None
+
+
+class Sevens:
+    """A normalisation under which everything is a seven."""
+
+    def normalize_obs(self, observation):
+        return np.full_like(observation, 7.0)
+
+
+def test_policy_sees_what_it_was_trained_to_see():
+    watching = Watches()
+    Policy(watching, Sevens()).crawl(judge(config()), 0, config().morphology)
+    assert len(watching.seen) == 60  # steps of half a second
+    assert {value for seen in watching.seen for value in seen.ravel()} == {7.0}
+
+
 def test_policy_that_fails_is_not_the_best(tmp_path, monkeypatch):
     ends = iter([outcome(0.5, Failure.TIPPED), outcome(0.01, 0), outcome(0.4, Failure.VEERED)])
     monkeypatch.setattr(Policy, "crawl", lambda *_args, **_more: next(ends, outcome(0.0, 0)))
     result = train(config(), tmp_path / "run")
     assert result.best.distance_m == 0.01
+    # Each policy is kept with its own record and normalisation.
+    best, last = (TrainedRobot.load(tmp_path / "run", which) for which in ("best", "last"))
+    assert (best.fitness_m, last.fitness_m) == (0.01, result.points[-1].distance_m)
+    steps = [robot.policy.actor.num_timesteps for robot in (best, last)]
+    seen = [robot.policy.normalizer.obs_rms.count for robot in (best, last)]
+    assert steps[0] < steps[1]
+    assert seen[1] - seen[0] == pytest.approx(steps[1] - steps[0])
 
 
 def test_policies_that_all_fail_have_no_best(tmp_path, monkeypatch):
@@ -184,7 +217,7 @@ def test_budget_in_which_bodies_cannot_evolve_is_refused(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_conditions_of_neighbouring_seeds_have_nothing_in_common(tmp_path):
+def test_neighbouring_seeds_share_neither_conditions_nor_a_network(tmp_path):
     frictions = []
     with pytest.MonkeyPatch.context() as patch:
         reset = training.CaterpillarVecEnv.reset
@@ -200,6 +233,10 @@ def test_conditions_of_neighbouring_seeds_have_nothing_in_common(tmp_path):
             asked = config(budget_s=150.0, seed=seed, randomize={"friction": (0.2, 1.0)})
             train(asked, tmp_path / str(seed))
     assert not set(frictions[0]) & set(frictions[1])
+    # Nothing is learned in so short a time: policies are as they began.
+    one, other = (load(tmp_path / str(seed), "last").actor.policy for seed in (0, 1))
+    assert not np.array_equal(*(p.state_dict()["action_net.weight"] for p in (one, other)))
+    np.testing.assert_allclose(one.action_net.bias.detach(), np.log(0.35 / 0.65), rtol=1e-6)
 
 
 def test_folder_that_cannot_be_written_is_told(tmp_path):

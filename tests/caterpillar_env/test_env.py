@@ -76,11 +76,14 @@ def test_first_observation_is_the_start():
 # Steps
 
 
-def test_step_of_timings_is_a_gait_period():
-    env = timing_env()
-    assert env.dt == 1.0
-    *_, info = env.step(some_action(env))
-    assert info["time_s"] == pytest.approx(1.0)
+def test_step_of_timings_is_one_gait_period_or_several_alike():
+    env, longer = timing_env(gait_period_s=0.5), timing_env(gait_period_s=0.5, frame_skip=2)
+    assert (env.dt, longer.dt) == (0.5, 1.0)
+    action = some_action(env)
+    assert env.step(action)[-1]["time_s"] == pytest.approx(0.5)
+    one, other = env.step(action), longer.step(action)
+    assert one[-1]["time_s"] == other[-1]["time_s"] == pytest.approx(1.0)
+    np.testing.assert_array_equal(one[0], other[0])
 
 
 def test_step_of_switches_is_frame_skip_intervals():
@@ -172,14 +175,13 @@ def test_failure_costs_once():
 
 
 def test_velocity_is_the_mean_over_the_step():
-    env = timing_env()
+    env = timing_env(gait_period_s=0.5)
     _, before = env.reset(seed=0)
     *_, info = env.step(some_action(env))
-    assert info["x_velocity"] == pytest.approx(info["x_position"] - before["x_position"])
-    assert info["y_velocity"] == pytest.approx(info["y_position"] - before["y_position"])
-    assert info["distance_from_origin"] == pytest.approx(
-        math.hypot(info["x_velocity"], info["y_velocity"])
-    )
+    x_m, y_m = (info[f"{axis}_position"] - before[f"{axis}_position"] for axis in "xy")
+    assert info["x_velocity"] == pytest.approx(x_m / 0.5)
+    assert info["y_velocity"] == pytest.approx(y_m / 0.5)
+    assert info["distance_from_origin"] == pytest.approx(math.hypot(x_m, y_m))
 
 
 # Ends

@@ -111,6 +111,11 @@ def test_draws_fill_their_ranges():
     strengths = np.array([c.strengths for c in drawn])
     assert strengths.mean() == pytest.approx(1.0, abs=0.02)
     assert strengths.std() == pytest.approx(np.sqrt(0.2**2 / 3 + 0.4**2 / 12), rel=0.1)
+    # Whoever meets with little friction is no lighter, colder or weaker for it.
+    together = np.corrcoef(
+        [(c.friction, c.mass, c.ambient_c, np.mean(c.strengths)) for c in drawn], rowvar=False
+    )
+    assert np.abs(together - np.eye(4)).max() < 0.2
 
 
 def test_what_is_not_randomised_stays_as_in_the_physics():

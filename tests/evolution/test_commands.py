@@ -9,7 +9,8 @@ import pytest
 from rich.console import Console
 
 from caterpillar_env.physics import Physics
-from evolution import cli
+from evolution import cli, run_report
+from evolution.commands import running
 from evolution.commands.evolve import PRESETS, _preset
 from evolution.commands.running import Reporter
 from evolution.config import RunConfig
@@ -154,6 +155,21 @@ def test_bar_on_a_terminal_only_moves_forwards():
             done.append(reporter._bar.tasks[0].completed)
     assert done == sorted(done)
     assert done[-1] == pytest.approx(1.0)
+
+
+def test_film_is_made_unless_there_is_one_of_this_robot(run, monkeypatch):
+    folder, made = run[0], []
+    monkeypatch.setattr(running, "film", lambda *what: made.append(what))
+    monkeypatch.setattr(run_report, "write", lambda folder: folder)
+    best, path, console = Individual.load(folder), folder / "best.mp4", Console(file=io.StringIO())
+    running.picture(folder, console, video=True)
+    path.write_bytes(b"a film of somebody else")
+    running.picture(folder, console, video=False)
+    running.picture(folder, console, video=True)
+    path.write_bytes(b"a film of " + best.digest.encode())
+    running.picture(folder, console, video=True)
+    path.unlink()
+    assert [(robot.digest, where) for robot, where, _ in made] == [(best.digest, path)] * 2
 
 
 # resume

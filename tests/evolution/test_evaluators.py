@@ -14,7 +14,7 @@ from evolution.evaluators import EvaluationError, LocalEvaluator, RayEvaluator
 from evolution.fitness import Outcomes, evaluate
 from evolution.genome import Encoding
 
-ENCODING = Encoding(Physics(num_segments=2, timestep_s=0.01))
+ENCODING = Encoding(Physics(num_segments=2, timestep_s=0.01), gait_period_s=2.0)
 GENOMES = np.random.default_rng(0).random((12, 12))
 CHUNKS = [GENOMES[:5], GENOMES[5:6], GENOMES[6:]]
 
@@ -109,7 +109,9 @@ def test_chunk_of_a_killed_worker_is_evaluated_again(cluster, reference, tmp_pat
     cluster.cloudpickle.register_pickle_by_value(sys.modules[__name__])
     KillsItsWorkers.marks = tmp_path
     with RayEvaluator() as evaluator:
-        results = list(evaluator.map(KillsItsWorkers(ENCODING.physics), [GENOMES] * 4))
+        results = list(
+            evaluator.map(KillsItsWorkers(ENCODING.physics, ENCODING.gait_period_s), [GENOMES] * 4)
+        )
     killed = {path.read_text() for path in tmp_path.iterdir()}
     assert len(killed) == 2
     assert len(results) == 4

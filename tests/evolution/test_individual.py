@@ -1,6 +1,9 @@
 """One robot as JSON: what is written is read back and crawls alike."""
 
+import errno
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -48,6 +51,19 @@ def test_file_gives_back_every_bit(individual, tmp_path):
     assert again.timings.period_s == PERIOD_S
     assert again.timings.on_s.tolist() == individual.timings.on_s.tolist()
     assert again.timings.off_s.tolist() == individual.timings.off_s.tolist()
+
+
+def test_full_disk_leaves_the_robot_that_was_there(individual, tmp_path, monkeypatch):
+    individual.save(tmp_path / "best.json")
+
+    def stop_midway(path, text, **_):
+        path.write_bytes(text.encode()[:99])
+        raise OSError(errno.ENOSPC, "no space left")
+
+    monkeypatch.setattr(Path, "write_text", stop_midway)
+    with pytest.raises(OSError, match="no space left"):
+        replace(individual, fitness_m=1.0).save(tmp_path / "best.json")
+    assert Individual.load(tmp_path).fitness_m == 0.0123
 
 
 def test_a_run_folder_stands_for_its_best_robot(individual, tmp_path):

@@ -15,14 +15,14 @@ from evolution.config import ConfigError, RunConfig
 from evolution.distributions import ClampedGaussian, TruncatedGaussian, Uniform
 from evolution.evaluators import EvaluationError, LocalEvaluator
 from evolution.files import FileError
-from evolution.fitness import simulate
+from evolution.fitness import Outcomes, simulate
 from evolution.individual import Individual
 from evolution.journal import Journal, fingerprint
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig
 from evolution.optimizers.random_search import RandomSearch
 from evolution.records import table
-from evolution.run import Own, RunError, evolve, history, read_configuration, resume
+from evolution.run import Own, RunError, evolve, history, read_configuration, resume, scores
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
 #: So stiff, and so coarsely stepped, that every robot's integration breaks down at once.
@@ -228,6 +228,17 @@ def test_progress_runs_from_nothing_to_all_in_each_generation(tmp_path):
 
 
 # Failures
+
+
+def test_scores_are_metres_or_metres_a_joule():
+    outcomes = Outcomes(
+        np.array([0, Failure.TIPPED, 0, 0]), np.array([0.06, 0.5, -0.1, 0.02]),
+        np.array([3.0, 1.0, 2.0, 0.0]), np.full(4, 30.0),
+    )  # fmt: skip
+    config = RunConfig(failed_fitness=0.001)
+    assert scores(outcomes, config).tolist() == [0.06, 0.001, 0.0, 0.02]
+    per_energy = scores(outcomes, replace(config, objective="distance-per-energy"))
+    assert per_energy.tolist() == [0.02, 0.001, 0.0, 0.0]  # whoever draws nothing earns nothing
 
 
 @pytest.mark.parametrize("failed_fitness", [0.0, 0.001])

@@ -39,7 +39,6 @@ COLOURS = """() => {
         axis: style('figure svg [style*="stroke: #000000"]').stroke,
     };
 }"""
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 class Fixed:
@@ -191,10 +190,14 @@ def test_runs_of_every_kind_have_a_page(config, said, tmp_path):
     assert page.count('<svg class="bar"') == len(config.encoding.genes)
 
 
-def test_uniform_priors_are_told_as_uniform(tmp_path):
-    evolve(replace(SHORT, prior="uniform"), tmp_path / "run", evaluator=LocalEvaluator(1))
-    rows = run_report.gene_rows(run_report.Record.read(tmp_path / "run"))
-    assert all(row.peak is None and row.band == (0.0, 1.0) for row in rows)
+@pytest.mark.parametrize(
+    ("prior", "peaks"), [("uniform", 0), ("preprocessed", 6), ("init-only", 6), ("mutation-only", 6)]
+)
+def test_priors_are_told_wherever_they_are_used_and_uniform_ones_as_uniform(folder, prior, peaks):
+    record = run_report.Record.read(folder)
+    rows = run_report.gene_rows(replace(record, config=replace(CONFIG, prior=prior)))
+    assert sum(row.peak is not None for row in rows) == peaks
+    assert all(row.band == (0.0, 1.0) for row in rows if row.peak is None)
 
 
 def test_run_of_an_optimizer_of_ones_own_is_named_after_it(tmp_path):
@@ -323,28 +326,22 @@ def filmed(folder, tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium (Debian: apt install chromium)")
 @pytest.mark.parametrize("width_px", [1100, 400])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_browser_shows_the_page_without_errors_or_requests(filmed, width_px, scheme):
-    sync_api = pytest.importorskip("playwright.sync_api")
+def test_browser_shows_the_page_without_errors_or_requests(browser, filmed, width_px, scheme):
     address, complaints, asked = filmed.as_uri(), [], []
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"]
-        )
-        window = browser.new_page(viewport={"width": width_px, "height": 800}, color_scheme=scheme)
-        window.on("console", lambda message: complaints.append(message.text))
-        window.on("pageerror", lambda error: complaints.append(str(error)))
-        window.on("request", lambda request: asked.append(request.url))
-        window.goto(address)
-        wide = window.evaluate("document.documentElement.scrollWidth")
-        film_s = window.evaluate("document.querySelector('video').duration")
-        colours = window.evaluate(COLOURS)
-        window.emulate_media(media="print")
-        printed = window.evaluate(COLOURS)
-        pages = window.pdf(format="A4").count(b"/Type /Page\n")
-        browser.close()
+    window = browser.new_page(viewport={"width": width_px, "height": 800}, color_scheme=scheme)
+    window.on("console", lambda message: complaints.append(message.text))
+    window.on("pageerror", lambda error: complaints.append(str(error)))
+    window.on("request", lambda request: asked.append(request.url))
+    window.goto(address)
+    wide = window.evaluate("document.documentElement.scrollWidth")
+    film_s = window.evaluate("document.querySelector('video').duration")
+    colours = window.evaluate(COLOURS)
+    window.emulate_media(media="print")
+    printed = window.evaluate(COLOURS)
+    pages = window.pdf(format="A4").count(b"/Type /Page\n")
+    window.close()
     assert complaints == []
     assert [url for url in asked if not url.startswith("data:")] == [address]
     assert wide <= width_px  # only tables scroll sideways

@@ -84,7 +84,7 @@ def test_camera_follows_the_robot(robot):
 
 def test_feet_on_the_ground_are_marked(robot):
     raised = robot[0].copy()
-    raised[2] += 0.02
+    raised[2] += 0.001
     assert coloured(drawn(robot, robot[0]), CONTACT_RGB) > 15
     assert coloured(drawn(robot, raised), CONTACT_RGB) == 0
 
@@ -271,6 +271,9 @@ def test_overlay_is_drawn_where_asked_for():
         env = drawing_env("rgb_array", overlay=overlay)
         env.step(np.tile([-1.0, 1.0], 6))
         pictures.append(env.render())
+        assert len(env._renderer._path) == overlay
+        env.reset()
+        assert env._renderer._path == []  # of the episode before
         env.close()
     differs = (pictures[0] != pictures[1]).any(axis=2)
     assert differs[: HEIGHT // 3].mean() > 0.3

@@ -69,14 +69,9 @@ def changed(**fields):
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """A study that was run to its end from the command line, and what it printed."""
-    home = tmp_path_factory.mktemp("study")
-    (home / "small.toml").write_text(TOML)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(home)
-        assert cli.main(["study", "small.toml", "--no-winners"]) == 0
-    return home / "studies" / "small"
+def finished(studied):
+    """A study that was run to its end."""
+    return studied(TOML)
 
 
 # What a study is
@@ -257,7 +252,6 @@ def test_looking_at_a_study_does_not_disturb_its_runs(finished):
     with Journal(config.cells()[0].folder(finished)):
         assert is_finished(config, config.cells()[0], finished)
         assert collect(config, finished)[1] == []
-        assert cli.main(["report", str(finished), "--no-winners"]) == 0
     assert len(versions(config, finished)) == 1
 
 
@@ -310,6 +304,20 @@ def test_thresholds_come_from_the_pilot_seeds_and_stay(finished):
     assert rows["distance_m"].max() >= top > 0
     assert thresholds(config, finished, frame) == pytest.approx([0.5 * top, 0.75 * top, top])
     assert thresholds(config, finished, frame.clear()) == pytest.approx([0.5 * top, 0.75 * top, top])
+
+
+def test_thresholds_are_shares_of_the_pilots_median_and_wait_for_all_of_them(tmp_path):
+    config = StudyConfig.from_dict(changed(pilot_seeds=[7, 8, 9]))
+    ends_m = {0: 0.5, 7: 0.09, 8: 0.01, 9: 0.02}
+    rows = [
+        {
+            "arm": "ga-uniform", "seed": seed, "evaluation": 0, "generation": 0, "failure": "ok",
+            "distance_m": end_m, "simulated_s": 30.0,
+        }
+        for seed, end_m in ends_m.items()
+    ]  # fmt: skip
+    assert thresholds(config, tmp_path, polars.DataFrame(rows[:-1])) is None
+    assert thresholds(config, tmp_path, polars.DataFrame(rows)) == [0.01, 0.015, 0.02]
 
 
 def test_pilot_seeds_are_in_no_table(finished):
@@ -367,7 +375,8 @@ def test_report_is_one_page_with_all_arms(finished):
 def test_report_can_be_made_again_from_the_table_alone(finished, tmp_path, capsys):
     for name in ("study.json", "thresholds.json", DATA):
         (tmp_path / name).write_bytes((finished / name).read_bytes())
-    assert cli.main(["report", str(finished), "--no-winners"]) == 0
+    with Journal(Cell("cma-es", 0).folder(finished)):  # as if it were still running
+        assert cli.main(["report", str(finished), "--no-winners"]) == 0
     first = capsys.readouterr().out
     assert cli.main(["report", str(tmp_path), "--no-winners"]) == 0
     assert capsys.readouterr().out == first

@@ -54,7 +54,9 @@ def test_bounds_are_those_of_the_morphology_in_other_units():
     body = [f for f in fields_of(robot) if f.folder == "body"]
     assert len(body) == len(PARAMETERS)
     for field, p in zip(body, PARAMETERS, strict=True):
+        factor = {"mm": 1000, "g": 1000, "rad": 1}[field.label.split(", ")[1]]
         for shown, bound in ((field.lower, p.lower), (field.upper, p.upper)):
+            assert shown == pytest.approx(factor * bound)
             changed = field.write(robot, shown)
             assert getattr(changed.morphology, p.name) == bound
 

@@ -2,7 +2,6 @@
 
 import io
 import json
-import shutil
 import threading
 import time
 from urllib.parse import urlparse
@@ -15,13 +14,9 @@ from evolution.individual import Individual
 from evolution.viewer.session import nominal_robot
 
 pytest.importorskip("viser")
-pytest.importorskip("playwright")
-
-from playwright import sync_api
 
 from evolution.viewer.server import Viewer
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 TIMEOUT_MS = 120_000  # software rendering on a busy machine
 SMALL = {"width": 1024, "height": 500}  # is drawn sooner
 SLIDER_ROW = "xpath=ancestor::div[contains(@class, 'Flex-root')][1]"
@@ -29,22 +24,7 @@ SLIDER_ROW = "xpath=ancestor::div[contains(@class, 'Flex-root')][1]"
 pytestmark = [
     pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection:UserWarning"),
     pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium (Debian: apt install chromium)"),
 ]
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=CHROMIUM,
-            args=[
-                "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-                "--disable-quic", "--disable-background-networking",
-            ],
-        )  # fmt: skip
-        yield browser
-        browser.close()
 
 
 @pytest.fixture

@@ -92,7 +92,11 @@ def test_it_stops_when_time_is_up_says_so_and_can_be_saved(hand, page, monkeypat
     hand.press("Play")
     hand.wait_for("Time is up")
     outcomes = ROBOT.simulate(threads=1)
-    assert f"distance **{1000 * outcomes.distance_m[0]:.1f} mm**" in hand.says
+    aside_mm = 1000 * hand.player._session.progress.lateral_m[0]
+    assert (
+        f"distance **{1000 * outcomes.distance_m[0]:.1f} mm**, sideways {aside_mm:.1f} mm" in hand.says
+    )
+    assert f"energy {outcomes.energy_j[0]:.1f} J" in hand.says
     plots = hand.player._panel
     assert plots._distance.data[1][-1] == pytest.approx(1000 * outcomes.distance_m[0])
     assert len(plots._temperature.data) == len(plots._fraction.data) == 1 + 2
