@@ -1,12 +1,11 @@
 import itertools
-import json
 import math
 
 import mujoco
 import numpy as np
 import pytest
 
-from caterpillar_env import Morphology, MorphologyError, Physics, PhysicsError, SmaSpring
+from caterpillar_env import Morphology, MorphologyError, Physics, SmaSpring
 from caterpillar_env.gait import spring_names
 from caterpillar_env.model import ModelBuilder, build_model, joint_names
 from caterpillar_env.sma import spring_force
@@ -256,69 +255,6 @@ def test_actuators_pull_as_the_two_state_spring(spring):
             np.testing.assert_allclose(data.actuator_force, expected, atol=1e-12)
             forces.append(data.actuator_force.copy())
     assert np.ptp(forces) > 0.1
-
-
-# Physics
-
-
-def test_strengths_spread_about_one_and_follow_the_seed():
-    many = Physics(num_segments=64).strengths()
-    assert many.shape == (252,)
-    assert many.mean() == pytest.approx(1, abs=0.015)
-    assert many.std() == pytest.approx(0.05, rel=0.15)
-    assert (Physics(num_segments=64).strengths() == many).all()
-    assert (Physics(num_segments=64, mismatch_seed=1).strengths() != many).all()
-    assert (Physics(mismatch_std=0.0).strengths() == 1).all()
-    assert Physics(num_segments=64, mismatch_std=5.0).strengths().min() == 0.1
-
-
-def test_measured_strengths_take_the_place_of_drawn_ones():
-    measured = [0.9, 1.0, 1.1, 1.2]
-    physics = Physics(num_segments=2, spring_strengths=measured, mismatch_seed=3)
-    assert physics.strengths().tolist() == measured
-    assert Physics.of(json.loads(json.dumps(physics.to_dict()))) == physics
-    for unusable in ([1.0] * 3, [1.0, 1.0, 1.0, 0.0], [1.0, 1.0, 1.0, math.nan]):
-        with pytest.raises(PhysicsError, match=r"spring_strengths = .* must be 4 positive numbers"):
-            Physics(num_segments=2, spring_strengths=unusable)
-
-
-def test_physics_comes_back_from_json():
-    physics = Physics(num_segments=3, spring=SmaSpring(ambient_c=20.0), bend_axis="pitch")
-    assert Physics.of(json.loads(json.dumps(physics.to_dict()))) == physics
-
-
-def test_partial_mappings_keep_the_other_defaults():
-    assert Physics.of({"spring": {"ambient_c": 20.0}}) == Physics(spring=SmaSpring(ambient_c=20.0))
-    assert Physics.of(None) == Physics()
-
-
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        ({"frictoin": 1.0}, "physics has no frictoin; its fields are num_segments, "),
-        (
-            {"spring": {"turn": 3}},
-            "spring has no turn; its fields are wire_diameter_m, ",
-        ),
-        ([4], r"physics takes a mapping .*got \[4\]"),
-        ({"num_segments": 1}, "num_segments = 1 must be a whole number from 2 to 64"),
-        ({"num_segments": 65}, "num_segments = 65 must"),
-        ({"num_segments": 4.0}, "num_segments = 4.0 must"),
-        ({"friction": -0.1}, "friction = -0.1 must be a finite number, not negative"),
-        ({"friction": math.nan}, "friction = nan must"),
-        ({"friction": None}, "friction = None must"),
-        ({"timestep_s": 0.0}, "timestep_s = 0.0 must be a finite, positive number"),
-        ({"timestep_s": 0.003}, "timestep_s = 0.003 must go a whole number of times into the thermal"),
-        ({"solver": "pgs"}, "solver = 'pgs' must be one of newton, cg"),
-        ({"integrator": "euler"}, "integrator = 'euler' must be one of discrete, implicitfast"),
-        ({"cone": "round"}, "cone = 'round' must be one of elliptic, pyramidal"),
-        ({"bend_axis": "roll"}, "bend_axis = 'roll' must be one of yaw, pitch"),
-    ],
-    ids=lambda v: v if isinstance(v, str) else "",
-)
-def test_unusable_physics_is_refused_with_the_reason(value, message):
-    with pytest.raises(PhysicsError, match=message):
-        Physics.of(value)
 
 
 # A body for every segment
