@@ -6,7 +6,7 @@ from caterpillar_env.errors import CaterpillarError
 from evolution.files import FileError, make_folder, read, unused, write_json, writing
 
 
-class Unread(CaterpillarError):
+class UnreadError(CaterpillarError):
     """What is raised where a file cannot be read."""
 
 
@@ -29,21 +29,21 @@ def test_json_is_whole_and_leaves_nothing_beside_it(tmp_path):
     assert json.loads((tmp_path / "x.json").read_text()) == {"a": [1, 2.5]}
     with pytest.raises(TypeError):
         write_json(tmp_path / "x.json", {"a": object()})
-    assert read(tmp_path / "x.json", dict, Unread, "") == {"a": [1, 2.5]}
+    assert read(tmp_path / "x.json", dict, UnreadError, "") == {"a": [1, 2.5]}
     assert [path.name for path in tmp_path.iterdir()] == ["x.json"]
 
 
 def test_what_cannot_be_read_is_told_with_its_file(tmp_path):
     (tmp_path / "x.json").write_text("{")
-    with pytest.raises(Unread, match=r"x\.json is not JSON"):
-        read(tmp_path / "x.json", dict, Unread, "")
-    with pytest.raises(Unread, match=r"cannot read .*none\.json: No such file .*; make one"):
-        read(tmp_path / "none.json", dict, Unread, "make one")
+    with pytest.raises(UnreadError, match=r"x\.json is not JSON"):
+        read(tmp_path / "x.json", dict, UnreadError, "")
+    with pytest.raises(UnreadError, match=r"cannot read .*none\.json: No such file .*; make one"):
+        read(tmp_path / "none.json", dict, UnreadError, "make one")
 
 
 def test_what_cannot_be_written_is_told_and_own_errors_stay(tmp_path):
-    with pytest.raises(FileError, match="No such file or directory; choose another place"):
-        with writing(tmp_path / "none" / "x"):
-            (tmp_path / "none" / "x").write_text("")
-    with pytest.raises(Unread), writing(tmp_path):
-        raise Unread("mine")
+    path = tmp_path / "none" / "x"
+    with pytest.raises(FileError, match="directory; choose another place"), writing(path):
+        path.write_text("")
+    with pytest.raises(UnreadError), writing(tmp_path):
+        raise UnreadError("mine")
