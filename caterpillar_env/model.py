@@ -8,7 +8,7 @@ hinge with a viscoelastic moment (Saunders 2009, section III and fig. 7).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import mujoco
@@ -67,83 +67,164 @@ class ModelBuilder:
 
     def __init__(self, physics: Physics, *, scenery: bool = True) -> None:
         self._physics, self._scenery = physics, scenery
+        self._segments: tuple[Morphology, ...] = ()
         self._spec: mujoco.MjSpec | None = None
         self._parts: list[Any] = []  # in the order of making
+        self._known: Iterator[Any] = iter(())
 
     def build(self, body: Body) -> mujoco.MjModel:
         """Compile one robot."""
-        p = self._physics
-        segments = segments_of(body, p.num_segments)
+        self._segments = segments_of(body, self._physics.num_segments)
+        self._known = iter(tuple(self._parts))
         if self._spec is None:
-            self._spec = _new_spec(p, scenery=self._scenery)
-            _add_robot(self._spec, segments, p, self._make, legs=self._scenery)
-            _add_springs(self._spec, p)
+            self._spec = _new_spec(self._physics, scenery=self._scenery)
+            self._add_robot(self._spec)
+            _add_springs(self._spec, self._physics)
         else:
-            known = iter(self._parts)
-
-            def change(_add: Any, _fixed: dict[str, Any], **own: Any) -> Any:
-                part = next(known)
-                for name, value in own.items():
-                    setattr(part, name, value)
-                return part
-
-            _add_robot(self._spec, segments, p, change, legs=self._scenery)
+            self._add_robot(self._spec)
         model = self._spec.compile()
         trim_tendons(model)
         return model
 
-    def _make(self, add: Any, fixed: dict[str, Any], **own: Any) -> Any:
-        part = add(**fixed, **own)
-        self._parts.append(part)
+    def _part(self, add: Callable[..., Any], fixed: dict[str, Any], **own: Any) -> Any:
+        """Add a part, or write what depends on the body into the one that was added before.
+
+        Args:
+            add: what adds it.
+            fixed: what is the same in all bodies.
+            **own: what depends on the body.
+        """
+        part = next(self._known, None)
+        if part is None:
+            part = add(**fixed, **own)
+            self._parts.append(part)
+        else:
+            for name, value in own.items():
+                setattr(part, name, value)
         return part
 
+    def _add_robot(self, spec: mujoco.MjSpec) -> None:
+        parent = spec.worldbody
+        for index in range(self._physics.num_segments * ELEMENTS_PER_SEGMENT):
+            segment, plain = divmod(index, ELEMENTS_PER_SEGMENT)
+            m = self._segments[segment]
+            if index == 0:
+                # The centre of mass stands 2R above the ground (Saunders 2009, eq. 3 with eq. 4).
+                position = [0.0, 0.0, 2 * m.segment_radius_m]
+            elif plain:
+                position = [-m.segment_length_m / 2, 0.0, 0.0]
+            else:
+                position = _neck_offset(self._segments[segment - 1], m)
+            element = self._part(parent.add_body, {"name": f"element{index}"}, pos=position)
+            if index == 0:
+                self._part(element.add_freejoint, {"name": "root"})
+            elif plain:
+                self._add_intra_segment_joints(element, segment)
+            else:
+                self._add_neck(element, segment)
+            self._add_shell(element, index, m)
+            if not plain:
+                self._add_feet(element, segment, m)
+                self._add_anchors(element, segment, m)
+            parent = element
+        if self._scenery:
+            add_cameras(spec.body("element0"), self._segments, self._part)
 
-#: Called with a method that adds a part, what is the same in all bodies, and what depends on the body.
-Make = Callable[..., Any]
+    def _add_shell(self, body: mujoco.MjsBody, index: int, m: Morphology) -> None:
+        shade = 1.0 if index % ELEMENTS_PER_SEGMENT == 0 else 0.8
+        colour = (
+            [0.95, 0.85, 0.3, 0.25] if index == 0 else [0.5 * shade, 0.8 * shade, 0.35 * shade, 0.25]
+        )
+        self._part(
+            body.add_geom,
+            {"name": f"shell{index}", "type": mujoco.mjtGeom.mjGEOM_SPHERE, "rgba": colour},
+            size=[m.segment_radius_m, 0, 0],
+            mass=m.segment_mass_kg / ELEMENTS_PER_SEGMENT,
+        )
 
+    def _add_intra_segment_joints(self, body: mujoco.MjsBody, segment: int) -> None:
+        p, m = self._physics, self._segments[segment]
+        middle = [m.segment_length_m / 4, 0, 0]
+        travel = p.axial_range * m.segment_length_m
+        # The body is moulded so that, cold, the springs' pre-tension just brings it to length L.
+        stretch = 0.0
+        if segment < p.num_segments - 1:
+            stretch = _pretension(m, self._segments[segment + 1], p.spring) / p.axial_stiffness_n_m
+        self._part(
+            body.add_joint,
+            {
+                "name": f"axial{segment}", "type": mujoco.mjtJoint.mjJNT_SLIDE, "axis": [-1, 0, 0],
+                "stiffness": [p.axial_stiffness_n_m, 0, 0], "damping": [p.axial_damping_n_s_m, 0, 0],
+            },
+            pos=middle, springref=stretch, range=[-travel, travel],
+        )  # fmt: skip
+        self._part(
+            body.add_joint,
+            {
+                "name": f"bend{segment}", "type": mujoco.mjtJoint.mjJNT_HINGE,
+                "axis": _BEND_AXES[p.bend_axis],
+                "stiffness": [p.bend_ratio * p.neck_stiffness_n_m_rad, 0, 0],
+                "damping": [p.bend_ratio * p.neck_damping_n_m_s_rad, 0, 0],
+            },
+            pos=middle, range=[-m.joint_limit_rad, m.joint_limit_rad],
+        )  # fmt: skip
 
-def _new_spec(p: Physics, *, scenery: bool) -> mujoco.MjSpec:
-    spec = mujoco.MjSpec()
-    spec.compiler.degree = False
-    _set_options(spec, p)
-    _set_defaults(spec, p)
-    ground = spec.worldbody.add_geom(
-        name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05],
-        contype=1, conaffinity=0, priority=0,
-    )  # fmt: skip
-    if scenery:
-        add_scenery(spec, ground)
-    return spec
+    def _add_neck(self, body: mujoco.MjsBody, segment: int) -> None:
+        p, ahead, behind = self._physics, self._segments[segment - 1], self._segments[segment]
+        up = _neck_offset(ahead, behind)[2]
+        limit = (ahead.joint_limit_rad + behind.joint_limit_rad) / 2
+        self._part(
+            body.add_joint,
+            {
+                "name": f"neck{segment - 1}", "type": mujoco.mjtJoint.mjJNT_HINGE, "axis": [0, 1, 0],
+                "stiffness": [p.neck_stiffness_n_m_rad, 0, 0],
+                "damping": [p.neck_damping_n_m_s_rad, 0, 0],
+            },
+            pos=[behind.segment_length_m / 4, 0, -up / 2], range=[-limit, limit],
+        )  # fmt: skip
 
+    def _add_feet(self, body: mujoco.MjsBody, segment: int, m: Morphology) -> None:
+        """Feet, and the legs between them and the body, which touch nothing and weigh nothing."""
+        for side, sign in (("left", 1), ("right", -1)):
+            lateral = sign * m.leg_separation_m / 2
+            foot = [0, lateral, FOOT_RADIUS_M - 2 * m.segment_radius_m]
+            self._part(
+                body.add_geom,
+                {
+                    "name": f"foot{segment}_{side}", "type": mujoco.mjtGeom.mjGEOM_SPHERE,
+                    "size": [FOOT_RADIUS_M, 0, 0], "mass": 0, "rgba": [0.2, 0.2, 0.2, 1],
+                },
+                pos=foot,
+            )  # fmt: skip
+            if self._scenery:
+                self._part(
+                    body.add_geom,
+                    {
+                        "type": mujoco.mjtGeom.mjGEOM_CAPSULE, "size": [0.0012, 0, 0], "mass": 0,
+                        "conaffinity": 0, "rgba": [0.3, 0.35, 0.3, 1],
+                    },
+                    fromto=[0, lateral * 0.6, 0, *foot],
+                )  # fmt: skip
 
-def _add_robot(
-    spec: mujoco.MjSpec, segments: Sequence[Morphology], p: Physics, make: Make, *, legs: bool
-) -> None:
-    parent = spec.worldbody
-    for index in range(p.num_segments * ELEMENTS_PER_SEGMENT):
-        segment, plain = divmod(index, ELEMENTS_PER_SEGMENT)
-        m = segments[segment]
-        if index == 0:
-            # The centre of mass stands 2R above the ground (Saunders 2009, eq. 3 with eq. 4).
-            position = [0.0, 0.0, 2 * m.segment_radius_m]
-        elif plain:
-            position = [-m.segment_length_m / 2, 0.0, 0.0]
-        else:
-            position = _neck_offset(segments[segment - 1], m)
-        element = make(parent.add_body, {"name": f"element{index}"}, pos=position)
-        if index == 0:
-            make(element.add_freejoint, {"name": "root"})
-        elif plain:
-            _add_intra_segment_joints(element, segment, segments, p, make)
-        else:
-            _add_neck(element, segment, segments, p, make)
-        _add_shell(element, index, m, make)
-        if not plain:
-            _add_feet(element, segment, m, make, legs=legs)
-            _add_anchors(element, segment, m, p.num_segments, make)
-        parent = element
-    if legs:
-        add_cameras(spec.body("element0"), segments, make)
+    def _add_anchors(self, body: mujoco.MjsBody, segment: int, m: Morphology) -> None:
+        """Where springs end: in front those to the segment behind, at the rear those to the one ahead.
+
+        x is measured away from the neighbour that the spring pulls on.
+        """
+        ends = [("front", 1)] if segment < self._physics.num_segments - 1 else []
+        ends += [("rear", -1)] if segment > 0 else []
+        for side, sign in (("left", 1), ("right", -1)):
+            for height, up in (("dorsal", 1), ("ventral", -1)):
+                for end, outboard in ends:
+                    self._part(
+                        body.add_site,
+                        {"name": f"anchor{segment}_{end}_{height}_{side}"},
+                        pos=[
+                            outboard * m.attachment_x_m,
+                            sign * m.attachment_z_m,
+                            up * m.attachment_y_m,
+                        ],
+                    )
 
 
 def touching_geoms(model: mujoco.MjModel) -> NDArray[np.intp]:
@@ -170,6 +251,42 @@ def trim_tendons(model: mujoco.MjModel) -> None:
         address = model.ten_J_rowadr[tendon]  # rows stay where they are, only shorter
         model.ten_J_colind[address : address + last - first] = range(first, last)
     model.ten_J_rownnz[:] = inside[:, 1] - inside[:, 0]
+
+
+def _neck_offset(ahead: Morphology, behind: Morphology) -> list[float]:
+    """From the last element of a segment to the first of the next, in a straight body on its feet."""
+    length = (ahead.segment_length_m + behind.segment_length_m) / 4
+    return [-length, 0.0, 2 * behind.segment_radius_m - 2 * ahead.segment_radius_m]
+
+
+def _pretension(ahead: Morphology, behind: Morphology, spring: SmaSpring) -> float:
+    """Pull along the body of the four cold springs between two segments of a straight body, N.
+
+    Springs are L + 2x long, and run along the body, where the segments are alike.
+    """
+    along, _, up = _neck_offset(ahead, behind)
+    spaced = ahead.segment_length_m / 2 - along + (ahead.attachment_x_m + behind.attachment_x_m)
+    pull = 0.0
+    for height in (1, -1):  # dorsal, ventral; left and right are mirrored
+        rise = up + height * (behind.attachment_y_m - ahead.attachment_y_m)
+        length = math.hypot(spaced, rise, behind.attachment_z_m - ahead.attachment_z_m)
+        tension = spring.martensite_stiffness_n_m * (length - spring.martensite_rest_length_m)
+        pull += 2 * min(max(tension, 0.0), spring.force_limit_n) * (spaced / length)
+    return pull
+
+
+def _new_spec(p: Physics, *, scenery: bool) -> mujoco.MjSpec:
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    _set_options(spec, p)
+    _set_defaults(spec, p)
+    ground = spec.worldbody.add_geom(
+        name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05],
+        contype=1, conaffinity=0, priority=0,
+    )  # fmt: skip
+    if scenery:
+        add_scenery(spec, ground)
+    return spec
 
 
 def _set_defaults(spec: mujoco.MjSpec, p: Physics) -> None:
@@ -204,128 +321,6 @@ def _set_options(spec: mujoco.MjSpec, p: Physics) -> None:
     option.disableflags |= off.mjDSBL_AUTORESET
     # One robot of spheres on a plane has one island, and nothing to cull: the same bits for less.
     option.disableflags |= off.mjDSBL_ISLAND | off.mjDSBL_MIDPHASE
-
-
-def _add_shell(body: mujoco.MjsBody, index: int, m: Morphology, make: Make) -> None:
-    shade = 1.0 if index % ELEMENTS_PER_SEGMENT == 0 else 0.8
-    colour = [0.95, 0.85, 0.3, 0.25] if index == 0 else [0.5 * shade, 0.8 * shade, 0.35 * shade, 0.25]
-    make(
-        body.add_geom,
-        {"name": f"shell{index}", "type": mujoco.mjtGeom.mjGEOM_SPHERE, "rgba": colour},
-        size=[m.segment_radius_m, 0, 0],
-        mass=m.segment_mass_kg / ELEMENTS_PER_SEGMENT,
-    )
-
-
-def _neck_offset(ahead: Morphology, behind: Morphology) -> list[float]:
-    """From the last element of a segment to the first of the next, in a straight body on its feet."""
-    length = (ahead.segment_length_m + behind.segment_length_m) / 4
-    return [-length, 0.0, 2 * behind.segment_radius_m - 2 * ahead.segment_radius_m]
-
-
-def _pretension(ahead: Morphology, behind: Morphology, spring: SmaSpring) -> float:
-    """Pull along the body of the four cold springs between two segments of a straight body, N.
-
-    Springs are L + 2x long, and run along the body, where the segments are alike.
-    """
-    along, _, up = _neck_offset(ahead, behind)
-    spaced = ahead.segment_length_m / 2 - along + (ahead.attachment_x_m + behind.attachment_x_m)
-    pull = 0.0
-    for height in (1, -1):  # dorsal, ventral; left and right are mirrored
-        rise = up + height * (behind.attachment_y_m - ahead.attachment_y_m)
-        length = math.hypot(spaced, rise, behind.attachment_z_m - ahead.attachment_z_m)
-        tension = spring.martensite_stiffness_n_m * (length - spring.martensite_rest_length_m)
-        pull += 2 * min(max(tension, 0.0), spring.force_limit_n) * (spaced / length)
-    return pull
-
-
-def _add_intra_segment_joints(
-    body: mujoco.MjsBody, segment: int, segments: Sequence[Morphology], p: Physics, make: Make
-) -> None:
-    m = segments[segment]
-    middle = [m.segment_length_m / 4, 0, 0]
-    travel = p.axial_range * m.segment_length_m
-    # The body is moulded so that, cold, the springs' pre-tension just brings it to length L.
-    stretch = 0.0
-    if segment < p.num_segments - 1:
-        stretch = _pretension(m, segments[segment + 1], p.spring) / p.axial_stiffness_n_m
-    make(
-        body.add_joint,
-        {
-            "name": f"axial{segment}", "type": mujoco.mjtJoint.mjJNT_SLIDE, "axis": [-1, 0, 0],
-            "stiffness": [p.axial_stiffness_n_m, 0, 0], "damping": [p.axial_damping_n_s_m, 0, 0],
-        },
-        pos=middle, springref=stretch, range=[-travel, travel],
-    )  # fmt: skip
-    make(
-        body.add_joint,
-        {
-            "name": f"bend{segment}", "type": mujoco.mjtJoint.mjJNT_HINGE,
-            "axis": _BEND_AXES[p.bend_axis],
-            "stiffness": [p.bend_ratio * p.neck_stiffness_n_m_rad, 0, 0],
-            "damping": [p.bend_ratio * p.neck_damping_n_m_s_rad, 0, 0],
-        },
-        pos=middle, range=[-m.joint_limit_rad, m.joint_limit_rad],
-    )  # fmt: skip
-
-
-def _add_neck(
-    body: mujoco.MjsBody, segment: int, segments: Sequence[Morphology], p: Physics, make: Make
-) -> None:
-    ahead, behind = segments[segment - 1], segments[segment]
-    up = _neck_offset(ahead, behind)[2]
-    limit = (ahead.joint_limit_rad + behind.joint_limit_rad) / 2
-    make(
-        body.add_joint,
-        {
-            "name": f"neck{segment - 1}", "type": mujoco.mjtJoint.mjJNT_HINGE, "axis": [0, 1, 0],
-            "stiffness": [p.neck_stiffness_n_m_rad, 0, 0], "damping": [p.neck_damping_n_m_s_rad, 0, 0],
-        },
-        pos=[behind.segment_length_m / 4, 0, -up / 2], range=[-limit, limit],
-    )  # fmt: skip
-
-
-def _add_feet(body: mujoco.MjsBody, segment: int, m: Morphology, make: Make, *, legs: bool) -> None:
-    """Feet, and the legs between them and the body, which touch nothing and weigh nothing."""
-    for side, sign in (("left", 1), ("right", -1)):
-        lateral = sign * m.leg_separation_m / 2
-        foot = [0, lateral, FOOT_RADIUS_M - 2 * m.segment_radius_m]
-        make(
-            body.add_geom,
-            {
-                "name": f"foot{segment}_{side}", "type": mujoco.mjtGeom.mjGEOM_SPHERE,
-                "size": [FOOT_RADIUS_M, 0, 0], "mass": 0, "rgba": [0.2, 0.2, 0.2, 1],
-            },
-            pos=foot,
-        )  # fmt: skip
-        if legs:
-            make(
-                body.add_geom,
-                {
-                    "type": mujoco.mjtGeom.mjGEOM_CAPSULE, "size": [0.0012, 0, 0], "mass": 0,
-                    "conaffinity": 0, "rgba": [0.3, 0.35, 0.3, 1],
-                },
-                fromto=[0, lateral * 0.6, 0, *foot],
-            )  # fmt: skip
-
-
-def _add_anchors(
-    body: mujoco.MjsBody, segment: int, m: Morphology, num_segments: int, make: Make
-) -> None:
-    """Where springs end: at the front those to the segment behind, at the rear those to the one ahead.
-
-    x is measured away from the neighbour that the spring pulls on.
-    """
-    ends = [("front", 1)] if segment < num_segments - 1 else []
-    ends += [("rear", -1)] if segment > 0 else []
-    for side, sign in (("left", 1), ("right", -1)):
-        for height, up in (("dorsal", 1), ("ventral", -1)):
-            for end, outboard in ends:
-                make(
-                    body.add_site,
-                    {"name": f"anchor{segment}_{end}_{height}_{side}"},
-                    pos=[outboard * m.attachment_x_m, sign * m.attachment_z_m, up * m.attachment_y_m],
-                )
 
 
 def _add_springs(spec: mujoco.MjSpec, p: Physics) -> None:
