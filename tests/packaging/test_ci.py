@@ -1,0 +1,69 @@
+"""The script of all checks runs each of them, and fails if one of them does."""
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+#: In place of every program: notes its call, fails where it is told to.
+STUB = """#!/bin/sh
+call="$(basename "$0") $*"
+echo "$call" >> "$CALLS"
+case "$call" in
+    "python3 -m venv"*) mkdir -p "$3/bin" && cp "$0" "$3/bin/pip" && cp "$0" "$3/bin/python" ;;
+esac
+case "$call" in
+    *"$BROKEN"*) exit 1 ;;
+esac
+"""
+STEPS = [
+    "python -m pytest -q -n 2", "python -m pytest -q -m slow", "ruff check .", "ruff format --check .",
+    "mypy", "lint-imports", "sphinx-build -W", "python -m build --wheel", "python3 -m venv",
+    "pip install -q", "python smoke.py",
+]  # fmt: skip
+
+
+@pytest.fixture
+def ci(tmp_path):
+    """Runs the script in a folder in which every program but the shell's own is a stub."""
+    for folder in (".ci", "bin", "tests/packaging"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / ".ci" / "run").write_text((ROOT / ".ci" / "run").read_text("utf-8"))
+    (tmp_path / "tests" / "packaging" / "smoke.py").touch()
+    (tmp_path / "README.md").write_text(
+        "<!-- test-command -->\n```sh\n"
+        "mkdir .venv && cp -r bin .venv/bin && .venv/bin/python -m pytest -q -n 2\n```\n"
+    )
+    for name in ("python", "python3", "pip", "ruff", "mypy", "lint-imports", "sphinx-build", "apt-get",
+                 "ldconfig", "chromium"):  # fmt: skip
+        (tmp_path / "bin" / name).write_text(STUB)
+        (tmp_path / "bin" / name).chmod(0o755)
+
+    def run(broken):
+        calls = tmp_path / "calls"
+        calls.touch()
+        env = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
+        done = subprocess.run(
+            ["bash", tmp_path / ".ci" / "run"], env={**env, "CALLS": str(calls), "BROKEN": broken},
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        return done, calls.read_text()
+
+    return run
+
+
+def test_every_check_is_made(ci):
+    done, calls = ci("no such call")
+    assert done.returncode == 0, done.stderr
+    assert "== done" in done.stdout
+    assert [step for step in STEPS if step not in calls] == []
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_a_check_that_fails_is_the_end(ci, step):
+    done, calls = ci(step)
+    assert done.returncode != 0
+    assert "== done" not in done.stdout
+    assert step in calls.splitlines()[-1]
