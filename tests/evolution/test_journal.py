@@ -72,6 +72,7 @@ def test_a_second_process_is_refused(tmp_path, monkeypatch):
             with pytest.raises(JournalError, match="another process is working on"):
                 work(tmp_path)
         assert len(list(journal.evaluations())) == 5
+    assert not list(tmp_path.glob("*.damaged*"))  # nor was it taken away from the first
     Journal(tmp_path).close()
 
 
