@@ -66,12 +66,13 @@ def test_any_sqlite_tool_can_read_it(tmp_path):
 
 def test_a_second_process_is_refused(tmp_path, monkeypatch):
     written(tmp_path)
-    monkeypatch.setattr("evolution.journal.time.sleep", lambda _: None)  # between attempts
+    monkeypatch.setattr("evolution.database.time.sleep", lambda _: None)  # between attempts
     with Journal(tmp_path) as journal:
         for work in (Journal, Journal.repair):
             with pytest.raises(JournalError, match="another process is working on"):
                 work(tmp_path)
         assert len(list(journal.evaluations())) == 5
+    assert not list(tmp_path.glob("*.damaged*"))  # nor was it taken away from the first
     Journal(tmp_path).close()
 
 

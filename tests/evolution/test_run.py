@@ -383,7 +383,7 @@ KINDS = [
     {"optimizer": "random", "sampling": "sobol"},
     {"optimizer": "ga", "objective": "distance-per-energy"},
     {"optimizer": "ga", "genome": "full"},
-    {"optimizer": "cma-es", "genome": "per-segment"},
+    {"optimizer": "cma-es", "genome": "per-segment", "cma": CmaConfig(cma_population=4)},
 ]
 
 
