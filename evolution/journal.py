@@ -307,9 +307,8 @@ class Journal:
         kept: list[tuple[Any, ...]] = []
         try:
             db = sqlite3.connect(path)
-            db.execute(
-                "PRAGMA writable_schema = ON"
-            )  # else a file that lacks its end is not read at all
+            # Else a file that lacks its end is not read at all.
+            db.execute("PRAGMA writable_schema = ON")
             (configuration,) = db.execute("SELECT configuration FROM run").fetchone()
             sessions = db.execute("SELECT * FROM sessions ORDER BY session").fetchall()
             json.loads(configuration)
@@ -321,16 +320,16 @@ class Journal:
             except sqlite3.DatabaseError:
                 pass  # the damage begins here
             db.close()
+            for suffix in ("", "-wal", "-shm"):
+                old = path.with_name(FILE + suffix)
+                if old.exists():
+                    old.replace(path.with_name(f"{FILE}.damaged{suffix}"))
         except (sqlite3.DatabaseError, TypeError, ValueError):
             raise JournalError(
                 f"{path} is damaged where its configuration lies: nothing can be kept, start anew"
             ) from None
         finally:
             lock.close()
-        for suffix in ("", "-wal", "-shm"):
-            old = path.with_name(FILE + suffix)
-            if old.exists():
-                old.replace(path.with_name(f"{FILE}.damaged{suffix}"))
         with cls.create(folder, json.loads(configuration)) as journal, told(path), journal._db as db:
             db.executemany("INSERT INTO sessions VALUES (?, ?, ?, ?)", sessions)
             db.executemany(f"INSERT INTO evaluations VALUES ({', '.join('?' * 9)})", kept)

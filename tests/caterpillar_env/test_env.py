@@ -198,6 +198,11 @@ def test_failure_ends_the_episode_within_the_step():
     assert reward == pytest.approx(info["reward_forward"] - 5)
 
 
+def test_failure_in_the_last_step_is_no_truncation():
+    env = fail_at_once(timing_env(episode_s=timing_env().dt))
+    assert env.step(some_action(env))[2:4] == (True, False)
+
+
 def test_failure_may_be_survived():
     env = fail_at_once(timing_env(terminate_on_failure=False))
     _, _, terminated, _, info = env.step(some_action(env))

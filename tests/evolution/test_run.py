@@ -311,6 +311,18 @@ def test_prior_may_serve_the_first_draw_or_mutation_alone():
     assert kinds(RunConfig(prior="mutation-only"), "mutation") == {Uniform, TruncatedGaussian}
 
 
+@pytest.mark.parametrize(("prior", "informed"), [("init-only", 0), ("mutation-only", 1)])
+def test_optimizer_is_given_either_half_of_the_prior(prior, informed):
+    everything_mutates = GaConfig(population=300, hall_of_fame=1, mutation_rate=1.0)
+    optimizer = RunConfig(prior=prior, ga=everything_mutates).make_optimizer()
+    asked = [optimizer.ask()]
+    optimizer.tell(asked[0], np.ones(300))
+    asked.append(optimizer.ask())
+    means = [genomes[:, 0].mean() for genomes in asked]  # leg separation, better wide
+    assert means[informed] > 0.58
+    assert means[1 - informed] == pytest.approx(0.5, abs=0.06)
+
+
 def test_mirrored_prior_puts_every_peak_at_the_other_end():
     pairs = zip(RunConfig().distributions(), RunConfig(prior="mirrored").distributions(), strict=True)
     for one, other in pairs:

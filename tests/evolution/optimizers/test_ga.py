@@ -164,6 +164,15 @@ def test_elites_are_not_among_the_children_when_everything_mutates():
     assert not {tuple(g) for g in first} & {tuple(g) for g in second}
 
 
+def test_mutated_genes_are_drawn_from_their_own_distributions():
+    low, high = TruncatedGaussian(0.1, 0.01), TruncatedGaussian(0.9, 0.01)
+    config = GaConfig(population=12, hall_of_fame=3, mutation_rate=1.0)
+    algorithm = GeneticAlgorithm([low] * 6, [high] * 6, config, np.random.default_rng(0))
+    first, second = generations(algorithm, lambda g: g[:, 0], 2)
+    assert (first < 0.2).all()
+    assert (second > 0.8).all()
+
+
 @pytest.mark.parametrize("ties_later", [False, True])
 def test_of_equals_the_elder_stays_in_the_hall_of_fame(ties_later):
     algorithm = ga(distributions=[Rank()], population=4, hall_of_fame=1, mutation_rate=0.0)
