@@ -271,9 +271,9 @@ def test_overlay_is_drawn_where_asked_for():
         env = drawing_env("rgb_array", overlay=overlay)
         env.step(np.tile([-1.0, 1.0], 6))
         pictures.append(env.render())
-        assert len(env._renderer._path) == overlay
+        assert len(env._pictures._renderers[0][1]._path) == overlay
         env.reset()
-        assert env._renderer._path == []  # of the episode before
+        assert env._pictures._renderers[0][1]._path == []  # of the episode before
         env.close()
     differs = (pictures[0] != pictures[1]).any(axis=2)
     assert differs[: HEIGHT // 3].mean() > 0.3
