@@ -48,7 +48,7 @@ class Physics:
     axial_range: float = 0.15  #: travel of the prismatic joint as a share of the segment length
     bend_ratio: float = 2.0  #: stiffness and damping of the intra-segment hinge over the neck's
     bend_axis: BendAxis = "yaw"  #: how a segment bends within; the paper does not say
-    friction: float = 0.8  #: of feet and shells on the ground
+    friction: float = 0.8  #: of feet and elements on the ground
     mismatch_std: float = 0.05  #: spread of the springs' strength from one to another
     mismatch_seed: int = 0  #: which robot of that spread
     spring_strengths: tuple[float, ...] | None = None  #: one a spring, instead of drawn ones

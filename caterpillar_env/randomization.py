@@ -25,7 +25,7 @@ Range = tuple[float, float]
 class Conditions(NamedTuple):
     """What one robot meets with."""
 
-    friction: float  #: of its feet and shells on the ground
+    friction: float  #: of its feet and elements on the ground
     strengths: tuple[float, ...]  #: factor on each spring's force
     mass: float  #: factor on the mass of the body
     ambient_c: float  #: temperature of the air, degC
@@ -39,7 +39,7 @@ class Randomization:
         PhysicsError: bounds are no two numbers in order, or out of range.
     """
 
-    friction: Range | None = None  #: of feet and shells on the ground
+    friction: Range | None = None  #: of feet and elements on the ground
     mismatch_std: Range | None = None  #: spread of the springs' strengths, which are drawn anew with it
     spring_force: Range | None = None  #: factor on the force of all springs
     mass: Range | None = None  #: factor on the mass of the body
