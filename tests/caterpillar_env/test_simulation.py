@@ -74,6 +74,17 @@ def fields_of(simulation):
     return list(vars(simulation.state()).values())
 
 
+def test_springs_at_the_cut_off_draw_what_they_lose():
+    simulation = started([SMALL], num_segments=2)
+    simulation.advance(np.ones((1, 800, 4)))  # hot by then
+    before_j = simulation.energy_j[0]
+    simulation.advance(np.ones((1, 100, 4)))
+    s = simulation.physics.spring
+    loss_w = s.cooling_w_kg_k * (s.cut_off_c - s.ambient_c) * s.mass_per_m_kg * s.wire_length_m
+    assert loss_w < 0.6 * s.drive_power_w
+    assert simulation.energy_j[0] - before_j == pytest.approx(4 * loss_w, rel=1e-6)
+
+
 def test_row_does_not_depend_on_its_place_or_neighbours():
     power = some_power(1, 80)
     alone = started([SMALL])
