@@ -238,6 +238,7 @@ def test_network_file_systems_get_a_rollback_journal(tmp_path, monkeypatch, moun
     folder.mkdir(parents=True)
     with Journal.create(folder, {}) as journal:
         assert journal._db.execute("PRAGMA journal_mode").fetchone() == (mode,)
+        assert journal._db.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL: power may fail
 
 
 def test_a_journal_can_be_looked_at_while_it_is_written(tmp_path):
