@@ -85,7 +85,7 @@ class Episodes:
         self._episode_intervals = whole(episode_s, CONTROL_INTERVAL_S, "episode_s")
         self._frame_skip = frame_skip
         self._step_intervals = frame_skip * (self._period_intervals if action_mode == "timing" else 1)
-        if max_episode_steps is not None:
+        if max_episode_steps:
             limit = max_episode_steps * self._step_intervals
             self._episode_intervals = min(self._episode_intervals, limit)
         self._weights = (forward_reward_weight, ctrl_cost_weight, failure_cost)
@@ -260,7 +260,7 @@ def morphologies_for(value: Any, num_envs: int) -> list[Morphology]:
         MorphologyError: neither, or not as many as robots.
     """
     if not isinstance(value, (Morphology, Mapping, Sequence)):
-        value = np.asarray(value)
+        value = np.atleast_1d(value)
     if isinstance(value, (Morphology, Mapping)) or (len(value) and np.isscalar(value[0])):
         return [Morphology.of(value)] * num_envs
     if len(value) != num_envs:

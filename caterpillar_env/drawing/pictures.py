@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from caterpillar_env.drawing.overlay import Readout
 from caterpillar_env.drawing.rendering import RobotRenderer, View
 from caterpillar_env.morphology import Body
@@ -33,8 +35,9 @@ class Pictures:
             model, data = simulation.drawable(row)
             renderer = RobotRenderer(model, data, simulation.physics.spring, self._view)
             self._renderers[row] = simulation.body(row), renderer
-        readout = Readout.of(self._crawl.progress(), row) if self._overlay else None
-        temperature_c = simulation.state().temperature_c[row]
+        alone = np.array([row])
+        readout = Readout.of(self._crawl.progress(alone)) if self._overlay else None
+        (temperature_c,) = simulation.state(alone).temperature_c
         return renderer.draw(simulation.qpos(row), temperature_c, mode, readout)
 
     def restart(self, row: int) -> None:

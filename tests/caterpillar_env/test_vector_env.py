@@ -373,3 +373,8 @@ def test_unusable_modes_are_refused():
         CaterpillarVectorEnv(2, autoreset_mode="sometimes")
     with pytest.raises(SimulationError, match="num_rows >= 1"):
         CaterpillarVectorEnv(0)
+
+
+def test_a_number_is_no_body():
+    with pytest.raises(MorphologyError, match="a morphology is a mapping or 8 numbers"):
+        CaterpillarVectorEnv(2, morphology=3)

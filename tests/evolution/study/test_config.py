@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import pytest
 
@@ -27,32 +28,15 @@ SMALL = {
         "cma-es": {"optimizer": "cma-es", "cma": {"cma_population": 4}},
     },
 }
-TOML = """
-seeds = [0, 1]
-pilot_seeds = [8]
-budget_s = 240
-generation = 1
-[base.ga]
-population = 4
-hall_of_fame = 1
-[base.physics]
-num_segments = 2
-timestep_s = 0.01
-[arms.ga-uniform]
-prior = "uniform"
-[arms.cma-es]
-optimizer = "cma-es"
-cma.cma_population = 4
-"""
+TOML = Path(__file__).with_name("small.toml")
 
 
 def changed(**fields):
     return {**SMALL, **fields}
 
 
-def test_toml_and_plain_data_describe_the_same_study(tmp_path):
-    (tmp_path / "small.toml").write_text(TOML)
-    assert read_toml(tmp_path / "small.toml") == StudyConfig.from_dict(SMALL)
+def test_toml_and_plain_data_describe_the_same_study():
+    assert read_toml(TOML) == StudyConfig.from_dict(SMALL)
 
 
 def test_a_study_survives_json():

@@ -5,6 +5,8 @@ import shutil
 import subprocess
 import sys
 import time
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import polars
@@ -27,37 +29,8 @@ from evolution.study.config import (
 from evolution.study.headline import headline
 from evolution.study.results import DATA, Course, collect, courses, thresholds, versions
 
-SMALL = {
-    "seeds": [0, 1],
-    "pilot_seeds": [8],
-    "budget_s": 240,
-    "generation": 1,
-    "base": {
-        "ga": {"population": 4, "hall_of_fame": 1},
-        "physics": {"num_segments": 2, "timestep_s": 0.01},
-    },
-    "arms": {
-        "ga-uniform": {"prior": "uniform"},
-        "cma-es": {"optimizer": "cma-es", "cma": {"cma_population": 4}},
-    },
-}
-TOML = """
-seeds = [0, 1]
-pilot_seeds = [8]
-budget_s = 240
-generation = 1
-[base.ga]
-population = 4
-hall_of_fame = 1
-[base.physics]
-num_segments = 2
-timestep_s = 0.01
-[arms.ga-uniform]
-prior = "uniform"
-[arms.cma-es]
-optimizer = "cma-es"
-cma.cma_population = 4
-"""
+TOML = Path(__file__).with_name("small.toml").read_text("utf-8")
+SMALL = tomllib.loads(TOML)
 
 
 def changed(**fields):
