@@ -1,4 +1,4 @@
-"""Three optimizers at one budget of simulated seconds, twice each; see docs/study.md for proof."""
+"""Three optimizers at one budget of simulated seconds, twice each; for many seeds see docs/study.md."""
 
 import tempfile
 from pathlib import Path

@@ -1,15 +1,11 @@
-"""Let the best robot of the pilot study crawl, by its own body and gait, a gait period a step."""
-
-from pathlib import Path
+"""Let an evolved robot crawl in the environment with its own body and gait, one gait period a step."""
 
 import gymnasium
 
 import caterpillar_env  # noqa: F401  registers the environments
-from evolution.individual import Individual
+from evolution.validation.robots import evolved_robots
 
-WINNER = Path(__file__).parents[1] / "results" / "pilot" / "winners" / "ga-preprocessed.json"
-
-robot = Individual.load(WINNER)
+(robot,) = evolved_robots(1)  # for the best robot of a run: Individual.load(Path("runs/NAME"))
 env = gymnasium.make("CaterpillarSMA-v0")
 observation, info = env.reset(seed=0, options={"morphology": robot.morphology})
 action = robot.timings.to_action()
