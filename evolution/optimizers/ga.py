@@ -19,7 +19,10 @@ Crossover = Literal["uniform", "one-point", "two-point"]
 
 @dataclass(frozen=True)
 class GaConfig:
-    """Settings of the genetic algorithm; the paper gives the first two, the others are our readings.
+    """Settings of the genetic algorithm.
+
+    The paper gives the population and the hall of fame, which is neither crossed nor mutated; the other
+    defaults are our readings.
 
     Raises:
         OptimizerError: a value is out of range.
@@ -30,7 +33,7 @@ class GaConfig:
     crossover: Crossover = "uniform"  #: how the genes of two parents are mixed
     crossover_rate: float = 0.9  #: share of children with two parents; the others copy one
     mutation_rate: float = 0.05  #: chance of each gene to be drawn afresh; at 0.05 one of twenty is
-    elites_breed: bool = True  #: whether the hall of fame also takes part in the roulette
+    elites_breed: bool = False  #: whether the hall of fame takes part in the roulette too
 
     def __post_init__(self) -> None:
         if self.population < 2:
@@ -124,6 +127,7 @@ class GeneticAlgorithm:
         return np.stack([d.sample(self._rng, count) for d in distributions], axis=1)
 
     def _breed(self, count: int) -> Array:
+        """Children of the rest, which the hall of fame joins only where it breeds, (count, n)."""
         assert self._genomes is not None
         first = 0 if self._config.elites_breed else self._config.hall_of_fame
         pool, fitness = self._genomes[first:], self._fitness[first:]

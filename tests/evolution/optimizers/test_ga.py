@@ -131,7 +131,7 @@ def test_without_a_hall_of_fame_everybody_is_new():
 def test_hall_of_fame_survives_unchanged():
     # One genome is worth something, and only in the first generation. Whoever still breeds from the
     # roulette five generations on is that genome, unmutated; all children are its copies.
-    algorithm = ga(hall_of_fame=1, mutation_rate=0.0)
+    algorithm = ga(hall_of_fame=1, mutation_rate=0.0, elites_breed=True)
     first = algorithm.ask()
     algorithm.tell(first, np.eye(len(first))[4])
     for _ in range(5):
@@ -141,7 +141,7 @@ def test_hall_of_fame_survives_unchanged():
 
 
 def test_hall_of_fame_holds_the_best_so_far_and_not_of_the_last_generation_alone():
-    algorithm = ga(hall_of_fame=2, mutation_rate=0.0, crossover_rate=0.0)
+    algorithm = ga(hall_of_fame=2, mutation_rate=0.0, crossover_rate=0.0, elites_breed=True)
     first = algorithm.ask()
     scores = np.zeros(12)
     scores[[3, 8]] = [5.0, 1.0]
@@ -175,7 +175,7 @@ def test_mutated_genes_are_drawn_from_their_own_distributions():
 
 @pytest.mark.parametrize("ties_later", [False, True])
 def test_of_equals_the_elder_stays_in_the_hall_of_fame(ties_later):
-    algorithm = ga(distributions=[Rank()], population=4, hall_of_fame=1, mutation_rate=0.0)
+    algorithm = ga([Rank()], population=4, hall_of_fame=1, mutation_rate=0.0, elites_breed=True)
     algorithm.tell(algorithm.ask(), np.array([0.0, 1.0, 1.0, 0.0]))  # a tie at 1/4 and 2/4
     if ties_later:
         children = algorithm.ask()
@@ -185,16 +185,54 @@ def test_of_equals_the_elder_stays_in_the_hall_of_fame(ties_later):
     assert algorithm.ask().tolist() == [[0.25]] * 3  # only the elite is worth anything
 
 
-def test_elites_that_do_not_breed_leave_no_copies():
-    # Only the elite is worth anything, so a breeding one would be everybody's parent.
-    fitness = np.zeros(12)
-    fitness[5] = 1.0
-    for breed in (True, False):
-        algorithm = ga(distributions=[Rank()] * 3, hall_of_fame=1, mutation_rate=0.0, elites_breed=breed)
-        first = algorithm.ask()
-        algorithm.tell(first, fitness)
-        of_elite = (algorithm.ask() == first[5]).all(axis=1)
-        assert of_elite.all() if breed else not of_elite.any()
+@pytest.mark.parametrize("crossover", CROSSOVERS)
+@pytest.mark.parametrize(("settings", "breeds"), [({}, False), ({"elites_breed": True}, True)])
+def test_the_rest_alone_breeds_unless_elites_are_asked_to(crossover, settings, breeds):
+    # Each genome has one value of its own in every gene, and the three elites are worth the most by far.
+    algorithm = ga([Rank()] * 5, mutation_rate=0.0, crossover=crossover, **settings)
+    first = algorithm.ask()
+    fitness = np.where(np.isin(np.arange(12), [2, 5, 7]), 100.0, 1.0)
+    algorithm.tell(first, fitness)
+    inherited = np.unique(algorithm.ask())
+    assert np.isin(first[[2, 5, 7], 0], inherited).any() == breeds
+    assert np.isin(inherited, first[:, 0]).all()
+
+
+def test_the_rest_breeds_in_proportion_to_its_own_fitness():
+    algorithm = ga([Rank()] * 2, population=6, hall_of_fame=2, mutation_rate=0.0)
+    first = algorithm.ask()
+    # Beyond the two elites only one genome is worth anything.
+    algorithm.tell(first, np.array([9.0, 0.0, 8.0, 3.0, 0.0, 0.0]))
+    np.testing.assert_array_equal(algorithm.ask(), np.tile(first[3], (4, 1)))
+
+
+def test_a_rest_that_is_worth_nothing_breeds_evenly():
+    algorithm = ga([Rank()] * 2, population=300, hall_of_fame=100, mutation_rate=0.0)
+    first = algorithm.ask()
+    algorithm.tell(first, np.repeat([1.0, 0.0], [100, 200]))
+    inherited = np.unique(algorithm.ask())
+    assert not np.isin(first[:100, 0], inherited).any()
+    assert len(inherited) > 100  # two parents each for 200 children, of 200 who are equally likely
+
+
+def test_an_elite_that_is_displaced_joins_the_rest():
+    algorithm = ga([Rank()] * 2, population=4, hall_of_fame=1, mutation_rate=0.0)
+    first = algorithm.ask()
+    algorithm.tell(first, np.array([0.0, 1.0, 0.0, 0.0]))
+    children = algorithm.ask()
+    assert not (children == first[1]).any()
+    algorithm.tell(children, np.array([2.0, 0.0, 0.0]))
+    np.testing.assert_array_equal(algorithm.ask(), np.tile(first[1], (3, 1)))
+
+
+def test_a_rest_of_one_is_both_parents():
+    algorithm = ga([Rank()] * 3, population=5, hall_of_fame=4, mutation_rate=0.0)
+    first = algorithm.ask()
+    algorithm.tell(first, np.array([3.0, 2.0, 0.5, 4.0, 1.0]))
+    child = algorithm.ask()
+    np.testing.assert_array_equal(child, first[[2]])
+    algorithm.tell(child, np.array([5.0]))  # now the last of the former elites is the rest
+    np.testing.assert_array_equal(algorithm.ask(), first[[4]])
 
 
 def test_asking_twice_gives_the_same_genomes():
@@ -360,7 +398,7 @@ def test_global_generator_is_not_touched():
 
 
 @pytest.mark.parametrize(
-    "settings", [{}, {"elites_breed": False}, {"crossover": "one-point"}, {"crossover": "two-point"}],
+    "settings", [{}, {"elites_breed": True}, {"crossover": "one-point"}, {"crossover": "two-point"}],
     ids=str,
 )  # fmt: skip
 @pytest.mark.parametrize("seed", range(3))
@@ -389,6 +427,7 @@ def test_smallest_population_works():
 
 def test_defaults_are_the_papers():
     assert (GaConfig().population, GaConfig().hall_of_fame) == (200, 10)
+    assert not GaConfig().elites_breed
 
 
 @pytest.mark.parametrize(
