@@ -50,6 +50,7 @@ class RunConfig:
     seed: int = 0  #: of all that the optimizer draws; the springs have --mismatch-seed
     generations: int = 50  #: how often the optimizer asks for genomes
     budget_s: float | None = None  #: simulated seconds; once spent, no generation begins
+    target_m: float | None = None  #: m; once a healthy robot gets that far, no generation begins
     optimizer: OptimizerName = "ga"  #: ga: the paper's genetic algorithm; random: random search
     genome: GenomeKind = "shared"  #: full: times of every spring; per-segment: a body for every segment
     prior: Prior = "preprocessed"  #: what genes are drawn from; init- and mutation-only are the GA's
@@ -68,10 +69,11 @@ class RunConfig:
             raise ConfigError(f"seed = {self.seed} must not be negative")
         if self.generations < 1:
             raise ConfigError(f"generations = {self.generations} must be at least 1")
-        if self.budget_s is not None and not 0 < self.budget_s < np.inf:
-            raise ConfigError(
-                f"budget_s = {self.budget_s} must be a positive number of simulated seconds"
-            )
+        for name, what in _LIMITS.items():
+            value = getattr(self, name)
+            number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if value is not None and not (number and 0 < value < np.inf):
+                raise ConfigError(f"{name} = {value!r} must be {what}; leave it out to run without it")
         for name, kind in _CHOICES.items():
             check_choice(name, getattr(self, name), kind, ConfigError)
         if self.optimizer != "ga" and self.prior in ("init-only", "mutation-only"):
@@ -134,6 +136,27 @@ class RunConfig:
         default = 4 + int(3 * np.log(len(self.encoding.genes)))
         return (self.cma.cma_population or default) * self.generations
 
+    def ending(self, generations: int, simulated_s: float, farthest_m: float) -> str | None:
+        """Why a run that is so far is over, in words; None if another generation follows.
+
+        Args:
+            generations: how many are through.
+            simulated_s: simulated time of all evaluations.
+            farthest_m: greatest distance of a robot that did not fail, whatever the objective.
+        """
+        missed = ""
+        if self.target_m is not None:
+            target = f"the target of {1000 * self.target_m:g} mm"
+            if farthest_m >= self.target_m:
+                crawled = f"a robot crawled {1000 * farthest_m:.1f} mm"
+                return f"{target} was reached in generation {generations - 1}, where {crawled}"
+            missed = f"; {target} was not reached"
+        if self.budget_s is not None and simulated_s >= self.budget_s:
+            return f"the budget of {self.budget_s:,.0f} simulated seconds is spent{missed}"
+        if generations >= self.generations:
+            return f"the last generation is through{missed}"
+        return None
+
     def share_done(self, evaluations: int, simulated_s: float) -> float:
         """How much of the run is behind it, in [0, 1]; of a budget, what is spent."""
         if self.budget_s is not None:
@@ -141,6 +164,11 @@ class RunConfig:
         return min(evaluations / self.evaluations(), 1.0)
 
 
+#: What ends a run before its last generation, where it is given.
+_LIMITS = {
+    "budget_s": "a positive number of simulated seconds",
+    "target_m": "a positive distance in m",
+}
 _CHOICES = {
     "optimizer": OptimizerName,
     "genome": GenomeKind,

@@ -1,4 +1,5 @@
-"""A run: ask, evaluate, record, tell, until the generations are through or somebody stops it.
+"""A run: ask, evaluate, record, tell, until the generations are through, the target is reached or
+the budget is spent, or somebody stops it.
 
 Resuming is replaying: the optimizer is made anew and asks the same questions, which the journal answers
 as far as it goes.
@@ -44,6 +45,7 @@ class Generation(NamedTuple):
     simulated_s: float  #: so far
     elapsed_s: float  #: wall time of this session so far
     replayed: bool = False  #: whether all of it came out of the journal
+    farthest_m: float = 0.0  #: greatest distance so far of a robot that did not fail; of any objective
 
 
 class RunResult(NamedTuple):
@@ -79,7 +81,8 @@ def evolve(
     """Run an optimizer and keep its record in a new folder.
 
     Writes `journal.sqlite` (as evaluations finish) and `best.json` (whenever there is a better robot). A
-    KeyboardInterrupt ends the run; `resume` goes on where it ended.
+    KeyboardInterrupt ends the run; `resume` goes on where it ended. `config.target_m` ends it after the
+    first generation in which a robot gets that far without failing.
 
     Args:
         config: what to compute.
@@ -120,7 +123,7 @@ def resume(
     on_progress: Callable[[float], None] | None = None,
     on_warning: Callable[[str], None] | None = None,
 ) -> RunResult:
-    """Go on with a run, or go through a finished one again.
+    """Go on with a run, or go through a finished one again; one at its target evaluates nothing more.
 
     Args:
         folder: the run folder.
@@ -196,9 +199,8 @@ def _run(
     session = journal.begin()
     record = _Record(config, objective, journal.path.parent)
     try:
-        for number in range(config.generations):
-            if config.budget_s is not None and record.simulated_s >= config.budget_s:
-                break
+        while config.ending(len(record.history), record.simulated_s, record.farthest_m) is None:
+            number = len(record.history)
             genomes = encoding.check(optimizer.ask())
             first = record.evaluations
             parts = _replayed(known[first : first + len(genomes)], genomes, journal.path)
@@ -298,7 +300,7 @@ class _Record:
         self._top = 0.0
         self.best: Individual | None = None
         self.history: list[Generation] = []
-        self.evaluations, self.simulated_s = 0, 0.0
+        self.evaluations, self.simulated_s, self.farthest_m = 0, 0.0, 0.0
 
     def add(self, number: int, genomes: Array, outcomes: Outcomes, *, replayed: bool) -> Generation:
         config = self._config
@@ -315,6 +317,7 @@ class _Record:
                 self.best.save(self._folder / "best.json")
         self.evaluations += len(genomes)
         self.simulated_s += float(outcomes.simulated_s.sum())
+        self.farthest_m = max(self.farthest_m, float(outcomes.fitness(0.0).max()))
         counts = np.bincount(outcomes.failure, minlength=len(Failure))
         told = Generation(
             number=number,
@@ -325,6 +328,7 @@ class _Record:
             simulated_s=self.simulated_s,
             elapsed_s=time.monotonic() - self._started,
             replayed=replayed,
+            farthest_m=self.farthest_m,
         )
         self.history.append(told)
         return told

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -140,7 +140,7 @@ def page(record: Record, figures: Mapping[str, str]) -> str:
     known = [s.wall_s for s in record.sessions if s.wall_s is not None]
     in_session = Counter(e.session for e in record.evaluations)
     own = record.configuration.get("own_optimizer")
-    commands = _commands(record)
+    commands = _commands(record, generations)
     return render(
         "run.html",
         {"mm": lambda m: f"{1000 * m:,.1f}", "duration": _duration},
@@ -155,6 +155,7 @@ def page(record: Record, figures: Mapping[str, str]) -> str:
         changed=list(changed(record.configuration)),
         configuration=json.dumps(record.configuration, indent=2),
         finished=record.finished,
+        ended=_ending(record, config, generations),
         generations=len(generations),
         unfinished=len(record.evaluations) - (generations[-1].evaluations if generations else 0),
         evaluations=len(record.evaluations),
@@ -226,7 +227,15 @@ def _flat(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
             yield prefix + name, value
 
 
-def _commands(record: Record) -> list[tuple[str, str]]:
+def _ending(record: Record, config: RunConfig, generations: Sequence[Generation]) -> str | None:
+    """Why a finished run ends with this configuration; None if it would go on, or is not finished."""
+    if not record.finished or not generations:
+        return None
+    last = generations[-1]
+    return config.ending(len(generations), last.simulated_s, last.farthest_m)
+
+
+def _commands(record: Record, generations: Sequence[Generation]) -> list[tuple[str, str]]:
     """What can be done with the run, and why one would."""
     name = shlex.quote(record.folder.resolve().name)
     said = [
@@ -236,11 +245,11 @@ def _commands(record: Record) -> list[tuple[str, str]]:
         (f"caterpillar view {name}", "watch it in the browser, and change it by hand"),
     ] * (record.best is not None)
     said.append((f"caterpillar export {name}", "every evaluation as a table"))
+    more = 2 * record.config.generations
     if record.configuration.get("own_optimizer") is None:
         if not record.finished:
             said.append((f"caterpillar resume {name}", "go on"))
-        elif record.config.budget_s is None:
-            more = 2 * record.config.generations
+        elif _ending(record, replace(record.config, generations=more), generations) is None:
             said.append((f"caterpillar resume {name} --generations {more}", "go on for longer"))
     said.append((f"caterpillar report {name}", "make this page anew"))
     return said

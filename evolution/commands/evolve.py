@@ -44,7 +44,7 @@ def evolve_command(argv: Sequence[str]) -> int:
         result = evolve(
             config, folder, evaluator=workers.make(), on_generation=told, on_progress=reporter.progress,
         )  # fmt: skip
-    return finish(result, folder, console, video=args.workers.video)
+    return finish(result, config, folder, console, video=args.workers.video)
 
 
 def _preset(argv: Sequence[str]) -> str:

@@ -45,4 +45,4 @@ def resume_command(argv: Sequence[str]) -> int:
             on_generation=told, on_progress=reporter.progress,
             on_warning=lambda text: console.print(f"warning: {text}"),
         )  # fmt: skip
-    return finish(result, args.folder, console, video=args.workers.video)
+    return finish(result, config, args.folder, console, video=args.workers.video)

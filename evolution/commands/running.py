@@ -123,11 +123,15 @@ class Reporter:
         self._bar.update(self._task, completed=self._done + share * self._step)
 
 
-def finish(result: RunResult, folder: Path, console: Console, *, video: bool) -> int:
-    """Leave pictures of the best robot; the exit status."""
+def finish(result: RunResult, config: RunConfig, folder: Path, console: Console, *, video: bool) -> int:
+    """Say why the run ended, and leave pictures of the best robot; the exit status."""
     status = 0 if result.finished else 130
     if not result.finished:
         console.print(f"stopped; go on with: caterpillar resume {folder}")
+    elif config.target_m is not None or config.budget_s is not None:  # else there is one end only
+        last = result.generations[-1]
+        why = config.ending(len(result.generations), last.simulated_s, last.farthest_m)
+        console.print(f"{'nothing left to do' if last.replayed else 'ended'}: {why}")
     picture(folder, console, video=video)
     return status
 

@@ -144,8 +144,14 @@ class EvolutionArm:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> EvolutionArm:
-        """See `Arm`."""
-        return cls(RunConfig.from_dict(dict(data)))
+        """See `Arm`; raises ArmError where a target would end runs before their budget is spent."""
+        config = RunConfig.from_dict(dict(data))
+        if config.target_m is not None:
+            raise ArmError(
+                f"target_m = {config.target_m:g} would end runs early, and a study compares them over "
+                "the whole budget; leave it out (the study's threshold_shares are targets of its own)"
+            )
+        return cls(config)
 
     @classmethod
     def shared(cls, base: Mapping[str, Any]) -> Mapping[str, Any]:

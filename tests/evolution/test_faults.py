@@ -7,10 +7,12 @@ import sys
 import time
 
 import numpy as np
+import polars
 import pytest
 
 from evolution.individual import Individual
 from evolution.records import table
+from evolution.run_report import Record
 
 RUN = """
 import sys
@@ -22,10 +24,12 @@ from evolution.optimizers.cma_es import CmaConfig
 from evolution.optimizers.ga import GaConfig
 
 folder, optimizer = Path(sys.argv[1]), sys.argv[2]
+target_m = float(sys.argv[3]) if sys.argv[3:] else None
 run.CHUNK = 4
 config = run.RunConfig(
     seed=7, generations=14, optimizer=optimizer, physics=Physics(num_segments=2, timestep_s=0.01),
     ga=GaConfig(population=14, hall_of_fame=2), cma=CmaConfig(cma_population=12),
+    target_m=target_m,
 )
 
 class Logged(LocalEvaluator):
@@ -43,8 +47,8 @@ else:
 """
 
 
-def process(folder, optimizer):
-    return subprocess.Popen([sys.executable, "-c", RUN, str(folder), optimizer])
+def process(folder, optimizer, *target_m):
+    return subprocess.Popen([sys.executable, "-c", RUN, str(folder), optimizer, *map(str, target_m)])
 
 
 def evaluated(folder):
@@ -77,6 +81,33 @@ def test_killed_at_random_points_equals_uninterrupted(tmp_path, optimizer, kills
     assert table(broken)["session"].n_unique() > 3
     # Nothing is evaluated twice but the chunk of four that was in flight at each kill.
     assert evaluated(broken) <= evaluated(whole) + 4 * kills
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("optimizer", ["ga", "cma-es"])
+def test_killed_on_the_way_to_its_target_ends_there_and_stays(tmp_path, optimizer):
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    assert process(whole, optimizer).wait() == 0
+    told = Record.read(whole).generations()
+    target_m = told[8].farthest_m
+    number = next(g.number for g in told if g.farthest_m >= target_m)
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        worker = process(broken, optimizer, target_m)
+        begun = evaluated(broken) + 4 * int(rng.integers(1, 4))
+        while evaluated(broken) < begun and worker.poll() is None:
+            time.sleep(0.005)
+        time.sleep(float(rng.uniform(0.0, 0.15)))
+        worker.kill()  # or it is at its target already
+        assert worker.wait() in (0, -signal.SIGKILL)
+    assert process(broken, optimizer, target_m).wait() == 0
+    assert table(broken)["session"].n_unique() > 1
+    expected = table(whole).filter(polars.col("generation") <= number)
+    assert table(broken).drop("session").equals(expected.drop("session"))
+    assert Record.read(broken).finished
+    before = evaluated(broken)
+    assert process(broken, optimizer, target_m).wait() == 0
+    assert evaluated(broken) == before
 
 
 #: A shell's background jobs are deaf to Ctrl-C, and so would be what this test starts.

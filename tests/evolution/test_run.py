@@ -364,6 +364,12 @@ def test_configuration_survives_json():
         ({"clipping": "cut"}, "clipping = 'cut'"),
         ({"sampling": "grid"}, "sampling = 'grid'"),
         ({"generations": 0}, "generations = 0"),
+        *(
+            ({"target_m": value}, f"target_m = {value!r} must be a positive distance in m; leave it out")
+            for value in (-0.1, 0, np.nan, np.inf, "far", True)
+        ),
+        ({"budget_s": 0.0}, "budget_s = 0.0 must be a positive number of simulated seconds"),
+        ({"budget_s": "long"}, "budget_s = 'long' must be a positive number"),
         ({"generations": -5}, "generations = -5"),
         ({"prior": "hopeful"}, "prior = 'hopeful'"),
         ({"floor_ratio": 1.0}, "floor_ratio = 1.0"),
@@ -477,6 +483,21 @@ def test_other_versions_are_told_on_resume(tmp_path, monkeypatch):
     assert len(told) == 2
     assert "session 1 (evaluations 0 to 3) ran under mujoco 4." in told[0]
     assert "(now 9.9.9)" in told[0]
+
+
+def test_a_record_of_before_there_were_targets_goes_on_with_elites_that_breed(run, tmp_path):
+    config = replace(CONFIG, ga=replace(CONFIG.ga, elites_breed=True))
+    evolve(config, tmp_path / "whole", evaluator=ONE)
+    evolve(replace(config, generations=1), tmp_path / "part", evaluator=ONE)
+    with Journal(tmp_path / "part") as journal:
+        before = journal.configuration
+        assert before["ga"]["elites_breed"] is True
+        del before["target_m"]
+        journal.configure(before)
+    assert resume(tmp_path / "part", generations=3, evaluator=ONE).finished
+    part, whole = table(tmp_path / "part"), table(tmp_path / "whole")
+    assert part.drop("session").equals(whole.drop("session"))
+    assert not whole.equals(table(run[0]))  # whose elites do not breed
 
 
 class Halves:

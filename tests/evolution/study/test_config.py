@@ -93,6 +93,10 @@ def test_cells_of_a_seed_differ_in_their_arm_alone():
         (changed(luck=1), "a study has no luck; it has base, arms, budget_s"),
         ({k: v for k, v in SMALL.items() if k != "seeds"}, "a study needs seeds"),
         (changed(arms={"ga-uniform": {"seed": 3}}), "seed is the study's to say"),
+        (
+            changed(arms={"ga-uniform": {"target_m": 0.1}}),
+            "arms.ga-uniform: target_m = 0.1 would end runs early",
+        ),
         (changed(arms={"ga-uniform": 3}), "arms.ga-uniform must be a table"),
         (changed(arms={"ga-uniform": {"prior": "hopeful"}}), "arms.ga-uniform: prior = 'hopeful'"),
         (
