@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from caterpillar_env.drawing.scenery import add_cameras, add_scenery
+from caterpillar_env.drawing.scenery import add_cameras, add_scenery, without_pictures
 from caterpillar_env.gait import SPRINGS_PER_GAP, spring_names
 from caterpillar_env.morphology import Body, Morphology, segments_of
 from caterpillar_env.physics import Physics
@@ -56,6 +56,29 @@ def build_model(body: Body, physics: Physics, *, scenery: bool = True) -> mujoco
         `element{2N-1}`; tendons and actuators carry `gait.spring_names`; control is xi in [0, 1].
     """
     return ModelBuilder(physics, scenery=scenery).build(body)
+
+
+def model_xml(body: Body, physics: Physics) -> str:
+    """One robot as MJCF, with scenery, for programs that have MuJoCo and nothing of this package.
+
+    Every number is written with as many digits as it takes to read the same bits, so the XML compiles to
+    the arrays of `build_model`, up to the ruler's picture and to zeros in the springs' Jacobians (see
+    `trim_tendons`), which change no force.
+
+    Args:
+        body: one morphology, or one a segment.
+        physics: material, numerics and number of segments.
+
+    Returns:
+        The text of the XML. Control is the austenite fraction of the springs, in [0, 1].
+    """
+    builder = ModelBuilder(physics)
+    builder.build(body)
+    spec: Any = builder._spec
+    without_pictures(spec)
+    # As described, not as compiled: only this is written with all digits.
+    spec.compiler.savecompiled = False
+    return str(spec.to_xml())
 
 
 class ModelBuilder:

@@ -74,6 +74,16 @@ def add_cameras(head: mujoco.MjsBody, segments: Sequence[Morphology], make: Call
         )  # fmt: skip
 
 
+def without_pictures(spec: mujoco.MjSpec) -> None:
+    """Give the ruler squares of 1 cm instead of its picture, which an XML cannot hold."""
+    first, last = _RULER_CM
+    texture = spec.texture(RULER)
+    texture.data, texture.width, texture.height = b"", 64, 64
+    texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
+    texture.rgb1, texture.rgb2 = [0.98, 0.96, 0.84], [0.35, 0.35, 0.33]
+    spec.material(RULER).texrepeat = [(last - first) / 2, 1]
+
+
 def _add_material(spec: mujoco.MjSpec, texture: str, **kwargs: Any) -> None:
     material = spec.add_material(name=texture, **kwargs)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture

@@ -1,13 +1,15 @@
 import itertools
 import math
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 
 from caterpillar_env import Morphology, MorphologyError, Physics, SmaSpring
+from caterpillar_env.drawing.scenery import CAMERAS
 from caterpillar_env.gait import spring_names
-from caterpillar_env.model import ModelBuilder, build_model, joint_names
+from caterpillar_env.model import ModelBuilder, build_model, joint_names, model_xml
 from caterpillar_env.sma import spring_force
 
 BODY = Morphology(
@@ -325,3 +327,62 @@ def test_a_builder_that_has_built_others_builds_the_very_same_model(scenery):
             value = getattr(fresh, name)
             if isinstance(value, np.ndarray):
                 np.testing.assert_array_equal(getattr(ours, name), value, err_msg=name)
+
+
+# MJCF
+
+#: What the XML has otherwise: the ruler's picture, and zeros that `trim_tendons` leaves out.
+_OTHERWISE = {"tex_data", "tex_width", "tex_height", "mat_texrepeat", "ten_J_rownnz", "ten_J_colind"}
+
+
+def arrays(part):
+    """Numbers and arrays of a model or of a part of it by name."""
+    names = (name for name in dir(part) if not name.startswith("_"))
+    values = {name: getattr(part, name) for name in names}
+    return {n: v for n, v in values.items() if isinstance(v, (np.ndarray, int, float))}
+
+
+@pytest.mark.parametrize(
+    ("body", "physics"),
+    [
+        (BODY, Physics()),
+        (BODY, Physics(num_segments=2, spring_strengths=(1 / 3, 1.1, 0.7, 2 / 7))),
+        (BODY, Physics(num_segments=7, bend_axis="pitch", mismatch_seed=3, friction=1 / 3)),
+        (
+            (BODY, replace(BODY, segment_radius_m=0.011 / 1.1), replace(BODY, segment_length_m=0.03)),
+            Physics(num_segments=3, timestep_s=0.01 / 3, impratio=17.3, solver_tolerance=1e-11),
+        ),
+        (BODY, Physics(integrator="implicitfast", solver="cg", cone="pyramidal", solver_iterations=7)),
+    ],
+    ids=["default", "two", "seven", "unlike", "numerics"],
+)
+def test_xml_compiles_to_the_same_bits(body, physics):
+    model = build_model(body, physics)
+    read = mujoco.MjModel.from_xml_string(model_xml(body, physics))
+    for part, same in ((model, read), (model.opt, read.opt), (model.stat, read.stat)):
+        expected, found = arrays(part), arrays(same)
+        differ = {name for name in expected if not np.array_equal(expected[name], found[name])}
+        assert differ - _OTHERWISE <= {"nbuffer", "ntexdata", "signature"}
+    assert {"actuator_gainprm", "tendon_lengthspring", "qpos_spring"} <= arrays(model).keys()
+    assert model.names == read.names
+
+
+def test_xml_has_the_scenery():
+    read = mujoco.MjModel.from_xml_string(model_xml(BODY, Physics()))
+    assert [read.camera(number).name for number in range(read.ncam)] == list(CAMERAS)
+    assert read.nlight == 1
+    assert read.geom("ground").matid[0] == read.material("squares").id
+    assert (read.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE).sum() == 8  # legs
+
+
+def test_xml_moves_as_the_model_does():
+    model = build_model(BODY, Physics())
+    read = mujoco.MjModel.from_xml_string(model_xml(BODY, Physics()))
+    ends = []
+    for each in (model, read):
+        data = mujoco.MjData(each)
+        data.ctrl[::3] = 0.8
+        step(each, data, 0.5)
+        ends.append(data.qpos.copy())
+    assert np.abs(ends[0] - model.qpos0).max() > 1e-3
+    assert ends[1] == pytest.approx(ends[0], abs=1e-9)
