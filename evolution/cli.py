@@ -25,7 +25,7 @@ T = TypeVar("T")
 _SUMMARIES = {
     "doctor": "say what is installed, whether drawing works, and how fast this machine is",
     "evolve": "evolve body and gait: the paper's genetic algorithm, CMA-ES or random search",
-    "export": "write the evaluations of a run as CSV, Parquet or JSON",
+    "export": "write the evaluations of a run as a table, or a robot as a MuJoCo model",
     "preprocess": "print and draw what the physics-based preprocessor says of each gene",
     "resume": "go on with a run that was stopped, or with a finished one for more generations",
     "runs": "list the runs in a folder",

@@ -147,7 +147,10 @@ class Individual:
             CaterpillarError: a part is missing or unusable.
         """
         if not isinstance(data, dict) or data.get("format") != FORMAT:
-            raise IndividualError(f'no robot: expected JSON with "format": "{FORMAT}", as in best.json')
+            raise IndividualError(
+                f'no robot: expected JSON with "format": "{FORMAT}", as in best.json (a trained policy '
+                "crawls by caterpillar rl eval)"
+            )
         try:
             physics = Physics.of(data["physics"])
             kind = "springs" if "springs" in data["gait"] else "pairs"
@@ -186,6 +189,11 @@ class Individual:
             "eval)"
         )
         file = path / "best.json" if os.path.isdir(path) else path
+        if file != path and not file.exists():
+            raise IndividualError(
+                f"{path} holds no best.json: it is no run folder, or no robot of the run has crawled "
+                "forwards without failing yet; give another run folder or the JSON file of one robot"
+            )
         return read(file, cls.from_dict, IndividualError, otherwise)
 
 

@@ -204,8 +204,8 @@ def test_file_that_is_no_json_is_refused(tmp_path, content):
 
 
 def test_missing_file_and_empty_folder_are_refused(tmp_path):
-    for path in (tmp_path / "none.json", tmp_path):
-        with pytest.raises(IndividualError, match="cannot read"):
+    for path, message in ((tmp_path / "none.json", "cannot read"), (tmp_path, "holds no best.json")):
+        with pytest.raises(IndividualError, match=message):
             Individual.load(path)
 
 

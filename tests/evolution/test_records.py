@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import polars
 import pytest
@@ -36,6 +37,8 @@ def runs(tmp_path_factory):
 
     for name, hook in (("done", None), ("stopped", stop), ("damaged", None)):
         evolve(CONFIG, folder / name, evaluator=LocalEvaluator(1), on_generation=hook)
+    (folder / "empty").mkdir()
+    (folder / "policy.json").write_text('{"fitness_m": 0.1, "morphology": {}, "training": {}}')
     with (folder / "damaged" / FILE).open("r+b") as file:
         file.truncate(6000)
     return folder
@@ -62,6 +65,29 @@ def test_export_goes_beside_the_journal_and_best_robot_is_in_it(runs):
     assert row["gap1_ventral_off_s"] == best.timings.off_s[1]
 
 
+@pytest.mark.parametrize("source", ["done", "done/best.json"])
+def test_robot_of_a_run_is_exported_as_a_model(runs, source, capsys):
+    out = runs / "done" / "best.xml"
+    out.unlink(missing_ok=True)
+    assert cli.main(["export", str(runs / source), "--to", "mjcf"]) == 0
+    assert f"robot of 2 segments in {out}" in capsys.readouterr().err
+    model = mujoco.MjModel.from_xml_path(str(out))
+    best = Individual.load(runs / "done")
+    assert model.nu == 4
+    assert model.opt.timestep == 0.01
+    assert model.body_mass.sum() == pytest.approx(2 * best.morphology.segment_mass_kg)
+
+
+@pytest.mark.parametrize("genome", ["full", "per-segment"])
+def test_robots_of_all_kinds_are_exported(tmp_path, genome):
+    encoding = replace(CONFIG, genome=genome, physics=Physics(num_segments=3)).encoding
+    genes = np.random.default_rng(1).random(len(encoding.genes))
+    Individual.of_genome(genes, encoding).save(tmp_path / "robot.json")
+    out = tmp_path / "model.xml"  # whose ending tells the kind
+    assert cli.main(["export", str(tmp_path / "robot.json"), "--out", str(out)]) == 0
+    assert mujoco.MjModel.from_xml_path(str(out)).nu == 8
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -69,6 +95,13 @@ def test_export_goes_beside_the_journal_and_best_robot_is_in_it(runs):
         (["export", "done", "--to", "xlsx"], "--to"),
         (["export", "done", "--out", "missing/rows.csv"], "choose another place with --out"),
         (["export", "damaged"], "is damaged"),
+        (["export", "done/best.json"], "give the folder, or --to mjcf for the model of the robot"),
+        (["export", "done", "--to", "csv", "--out", "robot.xml"], "contradict"),
+        (["export", "nowhere", "--to", "mjcf"], "give a run folder or the JSON file of one robot"),
+        (["export", "empty", "--to", "mjcf"], "empty holds no best.json: it is no run folder, or no"),
+        (["export", "done", "--to", "mjcf", "--out", "missing/robot.xml"], "cannot write missing/robot"),
+        (["export", "done", "--to", "mjcf", "--out", "empty"], "choose another place with --out"),
+        (["export", "policy.json", "--to", "mjcf"], "a trained policy crawls by caterpillar rl eval"),
         (["runs", "nowhere"], "is no folder"),
     ],
 )
