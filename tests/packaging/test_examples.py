@@ -5,9 +5,15 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from caterpillar_env import Morphology, Physics
+from caterpillar_env.gait import GaitTimings
+from evolution.individual import Individual
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
@@ -16,12 +22,12 @@ LEAVES = {"preprocess.py": "prior.png", "wrappers.py": "videos/wave-episode-0.mp
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Runs a script in a folder of its own; gives what it printed."""
+    """Runs a script with arguments in a folder of its own; gives what it printed."""
 
-    def told(script):
+    def told(script, *arguments):
         folder = tmp_path_factory.mktemp(script.stem)
         done = subprocess.run(
-            [sys.executable, "-W", "error", script],
+            [sys.executable, "-W", "error", script, *arguments],
             cwd=folder,
             env={**os.environ, "TMPDIR": str(folder)},
             capture_output=True,
@@ -49,6 +55,20 @@ def test_robot_crawls_as_far_as_was_recorded(run):
     (distance,) = re.findall(r"([\d.]+) mm", last)
     assert f"recorded {distance} mm" in verdict
     assert "ended ok" in verdict
+
+
+def test_plain_mujoco_comes_as_far_as_was_recorded(run, tmp_path):
+    # Two segments with dorsal and ventral springs in turn: short, and not chaotic.
+    physics = Physics(num_segments=2)
+    gait = GaitTimings(5.0, np.array([0.0, 2.0]), np.array([1.2, 3.2]))
+    robot = Individual(Morphology(), gait, physics)
+    (distance_m,) = robot.simulate(threads=1).distance_m
+    replace(robot, fitness_m=float(distance_m)).save(tmp_path / "short.json")
+    first, *_ = run(ROOT / "examples" / "plain_mujoco.py", tmp_path / "short.json").splitlines()
+    found, recorded = (float(mm) for mm in re.findall(r"(-?[\d.]+) mm", first))
+    assert recorded == pytest.approx(1000 * distance_m, abs=0.001)
+    assert abs(recorded) > 5
+    assert found == pytest.approx(recorded, abs=0.1)
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.name)
