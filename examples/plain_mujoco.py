@@ -1,6 +1,6 @@
 """Export a robot, and let it crawl in a MuJoCo loop without the simulation of this package.
 
-Usage: python examples/plain_mujoco.py [ROBOT], a run folder or the JSON file of an evolved robot.
+Usage: python examples/plain_mujoco.py ROBOT. ROBOT is a run folder or the JSON file of an evolved robot.
 """
 
 import itertools
@@ -15,12 +15,13 @@ from caterpillar_env.sma import SmaState, advance
 from evolution.cli import main as caterpillar
 from evolution.individual import Individual
 
-WINNER = Path(__file__).parents[1] / "results" / "pilot" / "winners" / "ga-preprocessed.json"
 DURATION_S = 30.0
 THERMAL_STEP_S = 0.01
 
 # The model: an XML that any MuJoCo program can load.
-source = Path(sys.argv[1]) if len(sys.argv) > 1 else WINNER
+if len(sys.argv) != 2:
+    sys.exit(__doc__)
+source = Path(sys.argv[1])
 xml = Path(tempfile.mkdtemp(prefix="caterpillar-")) / "robot.xml"
 if status := caterpillar(["export", str(source), "--to", "mjcf", "--out", str(xml)]):
     sys.exit(status)
