@@ -48,7 +48,8 @@ for before, after in itertools.pairwise(fraction):
         data.ctrl = before + (after - before) * (substep + 0.5) / substeps
         mujoco.mj_step(model, data)
 
-# mj_step derives the centre of mass at its start, one step before the end. So does what was recorded.
+# mj_step derives the centre of mass at its start, one step before the end. So does what was recorded,
+# except for a robot that failed: evolution stops it, and this loop goes on.
 distance_m = data.subtree_com[1, 0] - start_m
 print(f"{data.time:.0f} s  {1000 * distance_m:.3f} mm; recorded {1000 * (robot.fitness_m or 0):.3f} mm")
 print(f"look at it: python -m mujoco.viewer --mjcf={xml}")
