@@ -69,7 +69,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     | 8 | morphology, -1 at the lower and 1 at the upper bound | |
 
     Axes, height and velocities of the body, and the distances in `info`, are those at the start of the last
-    physics step (5 ms ago), as in Gymnasium's own MuJoCo environments.
+    physics step (2.5 ms ago), as in Gymnasium's own MuJoCo environments.
 
     ## Rewards
     *reward* = *reward_forward* + *reward_ctrl* + *reward_failure*
@@ -101,16 +101,18 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     ## Episode end
     - Termination: the robot *flipped* (mean upward axis inclined by more than 120 degrees), *tipped* (more
       than 60 degrees), *jumped* (lowest point more than 5 mm above the ground), *veered* (heading off by
-      more than 45 degrees or centre of mass more than 120 mm off the starting line), or *diverged* (the
-      integration broke down). Judged every 0.1 s, within a step too. `info["failure"]` names the
+      more than 45 degrees or centre of mass more than 120 mm off the starting line), *sagged* (the body
+      instead of the feet carries more than 5 % of the load, on average over at least 30 s), or *diverged*
+      (the integration broke down). Judged every 0.1 s, within a step too. `info["failure"]` names the
       failure, "ok" if none. With `terminate_on_failure=False` only a divergence ends the episode.
     - Truncation: after `episode_s` (30) simulated seconds.
 
     ## Info
     `x_position`, `y_position` (of the centre of mass, world frame), `distance` (m, along the starting
     heading), `distance_from_origin`, `x_velocity`, `y_velocity` (mean over the step), `reward_forward`,
-    `reward_ctrl`, `reward_failure` (steps only), `energy_j` (since reset), `time_s`, `failure`; with
-    domain randomisation also what was drawn.
+    `reward_ctrl`, `reward_failure` (steps only), `energy_j` (since reset), `body_load` (share of the
+    load on the body, mean over at least 30 s), `time_s`, `failure`; with domain randomisation also what
+    was drawn.
 
     ## Arguments
     | parameter | default | description |

@@ -248,6 +248,7 @@ def _info(
         "reward_forward": forward,
         "reward_ctrl": ctrl,
         "energy_j": now.energy_j,
+        "body_load": now.body_load,
         "time_s": now.time_s,
         "failure": np.array([label(f) for f in now.failure], dtype=object),
     }

@@ -13,22 +13,19 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from caterpillar_env.drawing.scenery import add_cameras, add_scenery, without_pictures
+from caterpillar_env.engine import set_options
 from caterpillar_env.gait import SPRINGS_PER_GAP, spring_names
+from caterpillar_env.ground import FOOT, SKIN, STANCE_M, add_ground, condim
 from caterpillar_env.morphology import Body, Morphology, segments_of
 from caterpillar_env.physics import Physics
 from caterpillar_env.sma import SmaSpring
 
 FOOT_RADIUS_M = 0.002
 ELEMENTS_PER_SEGMENT = 2
-_INTEGRATORS = {
-    "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
-    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
-}
-_SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
-_CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
+#: Impedance of the joint stops, from first touch to full contact: nearly rigid.
+_STOP_IMPEDANCE = (0.99, 0.999)
 _BEND_AXES = {"yaw": [0, 0, 1], "pitch": [0, 1, 0]}
 
 
@@ -133,7 +130,7 @@ class ModelBuilder:
             m = self._segments[segment]
             if index == 0:
                 # The centre of mass stands 2R above the ground (Saunders 2009, eq. 3 with eq. 4).
-                position = [0.0, 0.0, 2 * m.segment_radius_m]
+                position = [0.0, 0.0, 2 * m.segment_radius_m - STANCE_M]
             elif plain:
                 position = [-m.segment_length_m / 2, 0.0, 0.0]
             else:
@@ -160,16 +157,19 @@ class ModelBuilder:
         )
         self._part(
             body.add_geom,
-            {"name": f"shell{index}", "type": mujoco.mjtGeom.mjGEOM_SPHERE, "rgba": colour},
-            size=[m.segment_radius_m, 0, 0],
+            {
+                "name": f"shell{index}", "type": mujoco.mjtGeom.mjGEOM_ELLIPSOID, "rgba": colour,
+                "conaffinity": SKIN,
+            },
+            size=[m.segment_length_m / 4, m.segment_radius_m, m.segment_radius_m],
             mass=m.segment_mass_kg / ELEMENTS_PER_SEGMENT,
-        )
+        )  # fmt: skip
 
     def _add_intra_segment_joints(self, body: mujoco.MjsBody, segment: int) -> None:
         p, m = self._physics, self._segments[segment]
         middle = [m.segment_length_m / 4, 0, 0]
         travel = p.axial_range * m.segment_length_m
-        # The body is moulded so that, cold, the springs' pre-tension just brings it to length L.
+        # The body is moulded so that the pre-tension of its cold springs just brings it to length L.
         stretch = 0.0
         if segment < p.num_segments - 1:
             stretch = _pretension(m, self._segments[segment + 1], p.spring) / p.axial_stiffness_n_m
@@ -186,10 +186,10 @@ class ModelBuilder:
             {
                 "name": f"bend{segment}", "type": mujoco.mjtJoint.mjJNT_HINGE,
                 "axis": _BEND_AXES[p.bend_axis],
-                "stiffness": [p.bend_ratio * p.neck_stiffness_n_m_rad, 0, 0],
                 "damping": [p.bend_ratio * p.neck_damping_n_m_s_rad, 0, 0],
             },
             pos=middle, range=[-m.joint_limit_rad, m.joint_limit_rad],
+            stiffness=self._hinge_stiffness(p.bend_ratio, m.joint_limit_rad),
         )  # fmt: skip
 
     def _add_neck(self, body: mujoco.MjsBody, segment: int) -> None:
@@ -200,11 +200,19 @@ class ModelBuilder:
             body.add_joint,
             {
                 "name": f"neck{segment - 1}", "type": mujoco.mjtJoint.mjJNT_HINGE, "axis": [0, 1, 0],
-                "stiffness": [p.neck_stiffness_n_m_rad, 0, 0],
                 "damping": [p.neck_damping_n_m_s_rad, 0, 0],
             },
             pos=[behind.segment_length_m / 4, 0, -up / 2], range=[-limit, limit],
+            stiffness=self._hinge_stiffness(1.0, limit),
         )  # fmt: skip
+
+    def _hinge_stiffness(self, ratio: float, limit_rad: float) -> list[float]:
+        """Coefficients of a hinge's moment in the powers of its angle, for `ratio` necks in parallel.
+
+        k q (1 + s (q / limit)^2): silicone stiffens as it is bent towards its limit.
+        """
+        linear = ratio * self._physics.neck_stiffness_n_m_rad
+        return [linear, 0.0, linear * self._physics.neck_stiffening / limit_rad**2]
 
     def _add_feet(self, body: mujoco.MjsBody, segment: int, m: Morphology) -> None:
         """Feet, and the legs between them and the body, which touch nothing and weigh nothing."""
@@ -216,6 +224,7 @@ class ModelBuilder:
                 {
                     "name": f"foot{segment}_{side}", "type": mujoco.mjtGeom.mjGEOM_SPHERE,
                     "size": [FOOT_RADIUS_M, 0, 0], "mass": 0, "rgba": [0.2, 0.2, 0.2, 1],
+                    "conaffinity": FOOT,
                 },
                 pos=foot,
             )  # fmt: skip
@@ -224,7 +233,7 @@ class ModelBuilder:
                     body.add_geom,
                     {
                         "type": mujoco.mjtGeom.mjGEOM_CAPSULE, "size": [0.0012, 0, 0], "mass": 0,
-                        "conaffinity": 0, "rgba": [0.3, 0.35, 0.3, 1],
+                        "rgba": [0.3, 0.35, 0.3, 1],
                     },
                     fromto=[0, lateral * 0.6, 0, *foot],
                 )  # fmt: skip
@@ -248,17 +257,6 @@ class ModelBuilder:
                             up * m.attachment_y_m,
                         ],
                     )
-
-
-def touching_geoms(model: mujoco.MjModel) -> NDArray[np.intp]:
-    """Indices of the geoms that can touch the ground: feet and shells, spheres all."""
-    return np.flatnonzero(model.geom_conaffinity)
-
-
-def clearances_m(positions_m: NDArray[np.float64], radii_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How far above the ground spheres are at their lowest points, (..., 3) and (...) to (...), m."""
-    lowest: NDArray[np.float64] = positions_m[..., 2] - radii_m
-    return lowest
 
 
 def trim_tendons(model: mujoco.MjModel) -> None:
@@ -301,23 +299,22 @@ def _pretension(ahead: Morphology, behind: Morphology, spring: SmaSpring) -> flo
 def _new_spec(p: Physics, *, scenery: bool) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
-    _set_options(spec, p)
+    set_options(spec, p)
     _set_defaults(spec, p)
-    ground = spec.worldbody.add_geom(
-        name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05],
-        contype=1, conaffinity=0, priority=0,
-    )  # fmt: skip
+    ground = add_ground(spec)
     if scenery:
         add_scenery(spec, ground)
     return spec
 
 
 def _set_defaults(spec: mujoco.MjSpec, p: Physics) -> None:
-    """What most parts share: geoms touch the ground and nothing else, joints are limited softly."""
+    """What most parts share: parts touch the ground and nothing else, joints end at stops."""
     default = spec.default
-    default.geom.contype, default.geom.conaffinity, default.geom.condim = 0, 1, 3
+    default.geom.contype, default.geom.conaffinity, default.geom.condim = 0, 0, condim(p.friction)
     default.geom.friction, default.geom.priority = [p.friction, 0, 0], 1
-    default.geom.solref[:2] = default.joint.solref_limit[:2] = [p.contact_time_constant_s, 1]
+    default.geom.solref[:2] = [p.contact_time_constant_s, 1]
+    default.joint.solref_limit[:2] = [p.stop_time_constant_s, 1]
+    default.joint.solimp_limit[:2] = _STOP_IMPEDANCE
     default.joint.limited = True
     default.site.size, default.site.rgba = [0.0008, 0, 0], [0.2, 0.2, 0.2, 1]
     default.tendon.width, default.tendon.rgba = 0.001, [0.3, 0.45, 0.8, 1]
@@ -327,23 +324,6 @@ def _set_defaults(spec: mujoco.MjSpec, p: Physics) -> None:
     spring.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     spring.ctrllimited, spring.ctrlrange = True, [0, 1]
     spring.forcelimited = True
-
-
-def _set_options(spec: mujoco.MjSpec, p: Physics) -> None:
-    option = spec.option
-    option.timestep = p.timestep_s
-    option.integrator = _INTEGRATORS[p.integrator]
-    option.solver = _SOLVERS[p.solver]
-    option.cone = _CONES[p.cone]
-    option.impratio = p.impratio
-    option.tolerance = p.solver_tolerance
-    option.iterations = p.solver_iterations
-    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # 4.0.0's sparse Newton Hessian is wrong
-    off = mujoco.mjtDisableBit
-    # A robot that blows up must stay visible as such, not be put back to the start.
-    option.disableflags |= off.mjDSBL_AUTORESET
-    # One robot of spheres on a plane has one island, and nothing to cull: the same bits for less.
-    option.disableflags |= off.mjDSBL_ISLAND | off.mjDSBL_MIDPHASE
 
 
 def _add_springs(spec: mujoco.MjSpec, p: Physics) -> None:

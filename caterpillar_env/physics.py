@@ -19,14 +19,16 @@ SMA_STEP_S = 0.01
 #: Control interval: how often failures are judged and, in switch mode, the power may change.
 CONTROL_INTERVAL_S = 0.1
 
-Integrator = Literal["discrete", "implicitfast"]
+Integrator = Literal["discrete", "implicitfast", "rk4"]
 Solver = Literal["newton", "cg"]
 Cone = Literal["elliptic", "pyramidal"]
 BendAxis = Literal["yaw", "pitch"]
 
 _CHOICES = {"integrator": Integrator, "solver": Solver, "cone": Cone, "bend_axis": BendAxis}
 _WHOLE = {"num_segments": (2, 64), "mismatch_seed": (0, 2**63), "solver_iterations": (1, 10_000)}
-_POSITIVE = ("timestep_s", "impratio", "contact_time_constant_s", "axial_range")
+_POSITIVE = (
+    "timestep_s", "impratio", "contact_time_constant_s", "stop_time_constant_s", "axial_range"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ class Physics:
     num_segments: int = 4  #: of the robot, from 2
     spring: SmaSpring = field(default_factory=SmaSpring)
     neck_stiffness_n_m_rad: float = 6e-3  #: silicone neck, Dragon Skin 10
+    neck_stiffening: float = 5.0  #: at the joint limit its moment is 1 + this times the linear one
     neck_damping_n_m_s_rad: float = 2e-4  #: silicone, coil friction, anchors: see docs/physics.md
     axial_stiffness_n_m: float = 500.0  #: of the prismatic joint within a segment
     axial_damping_n_s_m: float = 1.0  #: likewise
@@ -52,12 +55,13 @@ class Physics:
     mismatch_std: float = 0.05  #: spread of the springs' strength from one to another
     mismatch_seed: int = 0  #: which robot of that spread
     spring_strengths: tuple[float, ...] | None = None  #: one a spring, instead of drawn ones
-    timestep_s: float = 0.005  #: of the mechanics: 0.01 over a whole number
-    integrator: Integrator = "discrete"  #: MuJoCo's
+    timestep_s: float = 0.0025  #: of the mechanics: 0.01 over a whole number
+    integrator: Integrator = "discrete"  #: MuJoCo's; rk4 needs 0.25 ms
     solver: Solver = "newton"  #: MuJoCo's, of contacts
     cone: Cone = "elliptic"  #: MuJoCo's, of friction
-    impratio: float = 100.0  #: MuJoCo's, for grip: at 30 one robot of 60 creeps 1.4 mm in 30 s
-    contact_time_constant_s: float = 0.02  #: the softness of contacts; MuJoCo's own default
+    impratio: float = 100.0  #: MuJoCo's, for grip
+    contact_time_constant_s: float = 0.01  #: softness of the ground: see docs/physics.md
+    stop_time_constant_s: float = 0.005  #: softness of the joint stops: two timesteps
     solver_tolerance: float = 1e-8  #: MuJoCo's
     solver_iterations: int = 100  #: MuJoCo's, at most
 

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 from caterpillar_env.errors import PhysicsError, from_mapping
+from caterpillar_env.ground import condim
 from caterpillar_env.model import trim_tendons
 from caterpillar_env.physics import Physics, mismatched
 
@@ -119,6 +120,7 @@ def varied(model: mujoco.MjModel, physics: Physics, conditions: Conditions) -> m
     """A copy of a robot of `physics`, as it is under `conditions`; the air is the springs' affair."""
     changed = copy.copy(model)
     changed.geom_friction[:, 0] = conditions.friction
+    changed.geom_condim[:] = condim(conditions.friction)
     ratio = (np.array(conditions.strengths) / physics.strengths())[:, None]
     for parameters in (changed.actuator_gainprm, changed.actuator_biasprm, changed.actuator_forcerange):
         parameters *= ratio

@@ -51,9 +51,9 @@ class SmaSpring:
     martensite_finish_c: float = 56.0  #: Mf, likewise
     ambient_c: float = 25.0  #: of the air
     austenite_stiffness_n_m: float = 35.0  #: secant: 0.70 N at 36 mm
-    martensite_stiffness_n_m: float = 10.0  #: 0.20 N at 36 mm, the detwinning plateau
+    martensite_stiffness_n_m: float = 14.5  #: austenite's, times the ratio of Young's moduli
     austenite_rest_length_m: float = 0.016  #: solid length: turns x wire diameter, rounded up
-    martensite_rest_length_m: float = 0.016  #: likewise
+    martensite_rest_length_m: float = 0.0222  #: 0.20 N at 36 mm, the detwinning plateau
     force_limit_n: float = 0.85  #: 300 MPa of shear in the wire
     drive_current_a: float = 0.35  #: while the power is on; 90 % hot within about 1 s
     cut_off_c: float = 120.0  #: over-temperature cut-off of the driver

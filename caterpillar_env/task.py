@@ -35,6 +35,7 @@ class Failure(IntEnum):
     TIPPED = 3  #: on its side, head or tail
     JUMPED = 4  #: clear of the ground
     VEERED = 5  #: substantially off course
+    SAGGED = 6  #: carried by its body instead of its legs
 
     @property
     def label(self) -> str:
@@ -42,6 +43,7 @@ class Failure(IntEnum):
         return "ok" if self is Failure.NONE else self.name.lower()
 
 
+_LEAST_LOAD_N = 1e-6  # below, nothing is carried: the robot is in the air
 _NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # members are slow to look up
 _LABELS = {int(failure): failure.label for failure in Failure}
 
@@ -67,12 +69,14 @@ class Thresholds:
     veered_lateral_m: float = (
         0.12  #: veered when the centre of mass is off the line by more: a body length
     )
+    sagged_share: float = 0.05  #: sagged when the body carries more of the load, on average
 
 
 def judge(
     pose: Pose,
     lateral_m: Array,
     heading_rad: Array,
+    body_load: Array,
     diverged: NDArray[np.bool_],
     thresholds: Thresholds,
 ) -> NDArray[np.int8]:
@@ -82,12 +86,14 @@ def judge(
         pose: where the robots are.
         lateral_m: distance of the centre of mass from the starting line, (R,).
         heading_rad: heading relative to the start, (R,).
+        body_load: mean share of the load that the body carries, see `Progress`, (R,).
         diverged: whether the integration broke down, (R,).
         thresholds: where a failure begins.
     """
     up = pose.up[:, 2]
     failure = np.zeros(len(up), dtype=np.int8)
     for fails, code in (  # the graver a failure, the later it is written
+        (body_load > thresholds.sagged_share, Failure.SAGGED),
         (np.abs(heading_rad) > thresholds.veered_heading_rad, Failure.VEERED),
         (np.abs(lateral_m) > thresholds.veered_lateral_m, Failure.VEERED),
         (pose.clearance_m > thresholds.jumped_clearance_m, Failure.JUMPED),
@@ -107,6 +113,7 @@ class Progress(NamedTuple):
     lateral_m: Array  #: to the left of the starting heading
     heading_rad: Array  #: relative to the start, counter-clockwise, in (-pi, pi]
     energy_j: Array  #: electrical energy drawn
+    body_load: Array  #: share of the load on the body, mean over at least `EPISODE_S`
     failure: NDArray[np.int8]  #: values of `Failure`
 
 
@@ -137,7 +144,8 @@ class Crawl:
         self.failure = np.zeros(num_rows, dtype=np.int8)
         self._start_m = np.zeros((num_rows, 2))
         self._direction = np.zeros((num_rows, 2))  # cosine and sine of the starting heading
-        self._account = np.zeros((num_rows, 5))  # the first five fields of `Progress`
+        self._account = np.zeros((num_rows, 6))  # the first six fields of `Progress`
+        self._borne_s = np.zeros(num_rows)  # time for which the body has carried the robot
 
     def reset(
         self,
@@ -154,6 +162,7 @@ class Crawl:
         )
         index = self._rows(rows)
         self.failure[index] = Failure.NONE
+        self._borne_s[index] = 0.0
         pose = self.simulation.pose(index)
         self._start_m[index] = pose.com_m[:, :2]
         self._direction[index] = np.cos(heading_rad), np.sin(heading_rad)
@@ -210,13 +219,13 @@ class Crawl:
     def progress(self, rows: Rows | None = None) -> Progress:
         """What the robots have achieved since reset, as of the end of their last interval."""
         index = self._rows(rows)
-        time_s, distance_m, lateral_m, heading_rad, energy_j = self._account[index].T
+        time_s, distance_m, lateral_m, heading_rad, energy_j, body_load = self._account[index].T
         failure = self.failure[index]
-        return Progress(time_s, distance_m, lateral_m, heading_rad, energy_j, failure)
+        return Progress(time_s, distance_m, lateral_m, heading_rad, energy_j, body_load, failure)
 
     def _measure(self, index: Rows, pose: Pose) -> Array:
-        """The first five fields of `Progress`, (R, 5)."""
-        account = np.empty((len(index), 5))
+        """The first six fields of `Progress`, (R, 6)."""
+        account = np.empty((len(index), 6))
         both = np.empty((len(index), 2, 2))  # the way and the forward axis, horizontal
         np.subtract(pose.com_m[:, :2], self._start_m[index], out=both[:, 0])
         both[:, 1] = pose.forward[:, :2]
@@ -227,14 +236,18 @@ class Crawl:
         account[:, 1], account[:, 2] = along[:, 0], across[:, 0]
         np.arctan2(across[:, 1], along[:, 1], out=account[:, 3])
         account[:, 4] = self.simulation.energy_j[index]
+        account[:, 5] = self._borne_s[index] / np.maximum(pose.time_s, EPISODE_S)
         return account
 
     def _judge(self, index: Rows) -> None:
         pose = self.simulation.pose(index)
+        feet_n, body_n = pose.load_n.T
+        share = body_n / np.maximum(feet_n + body_n, _LEAST_LOAD_N)
+        self._borne_s[index] += np.maximum(share, 0.0) * CONTROL_INTERVAL_S
         account = self._account[index] = self._measure(index, pose)
-        _, _, lateral_m, heading_rad, _ = account.T
+        _, _, lateral_m, heading_rad, _, body_load = account.T
         diverged = self.simulation.diverged(index)
-        found = judge(pose, lateral_m, heading_rad, diverged, self.thresholds)
+        found = judge(pose, lateral_m, heading_rad, body_load, diverged, self.thresholds)
         if found.any():
             # The first failure stays; only a later divergence is told instead.
             keep = (self.failure[index] != _NONE) & (found != _DIVERGED)

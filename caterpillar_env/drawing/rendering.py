@@ -21,7 +21,7 @@ from caterpillar_env.drawing.backend import INSTALL_DRAWING
 from caterpillar_env.drawing.overlay import CONTACT_RGB, PATH_RGB, Readout, annotate, spring_rgb
 from caterpillar_env.drawing.scenery import CAMERAS, RULER
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.model import clearances_m, touching_geoms
+from caterpillar_env.ground import clearances_m, half_axes_m, touching_geoms
 from caterpillar_env.sma import SmaSpring
 
 Array = NDArray[np.float64]
@@ -120,7 +120,7 @@ class RobotRenderer:
         self._option.sitegroup[:] = 0  # the springs show their ends
         names = [model.geom(i).name for i in range(model.ngeom)]
         self._feet = np.array([i for i, name in enumerate(names) if name.startswith("foot")])
-        self._spheres = touching_geoms(model)
+        self._parts, self._half_axes = touching_geoms(model), half_axes_m(model)
         self._foot_rgba = model.geom_rgba[self._feet].copy()
         self._ruler = model.geom(RULER).id
         # Its zero is where the centre of mass starts: it then reads the distance.
@@ -196,9 +196,9 @@ class RobotRenderer:
     def _touching(self) -> NDArray[np.intp]:
         """Feet and shells that touch the ground, (n,). Straight at the start they only just do."""
         above_m = clearances_m(
-            self._data.geom_xpos[self._spheres], self._model.geom_size[self._spheres, 0]
+            self._data.geom_xpos[self._parts], self._data.geom_xmat[self._parts], self._half_axes
         )
-        touching: NDArray[np.intp] = self._spheres[above_m < _TOUCHING_M]
+        touching: NDArray[np.intp] = self._parts[above_m < _TOUCHING_M]
         return touching
 
     def _ready(self) -> mujoco.Renderer:

@@ -9,6 +9,7 @@ import pytest
 from caterpillar_env import Morphology, MorphologyError, Physics, SmaSpring
 from caterpillar_env.drawing.scenery import CAMERAS
 from caterpillar_env.gait import spring_names
+from caterpillar_env.ground import STANCE_M
 from caterpillar_env.model import ModelBuilder, build_model, joint_names, model_xml
 from caterpillar_env.sma import spring_force
 
@@ -100,7 +101,7 @@ def test_feet_touch_the_ground_at_the_leg_separation():
         for side, sign in (("left", 1), ("right", -1)):
             foot = data.geom(f"foot{segment}_{side}")
             lowest = foot.xpos[2] - model.geom(f"foot{segment}_{side}").size[0]
-            assert lowest == pytest.approx(0, abs=1e-12)
+            assert lowest == pytest.approx(-STANCE_M, abs=1e-12)
             assert foot.xpos[1] == pytest.approx(sign * 0.01)
             assert foot.xpos[0] == pytest.approx(-0.026 * segment)
 
@@ -119,6 +120,37 @@ def test_hinges_turn_as_far_as_the_joint_limit():
         np.testing.assert_allclose(model.joint(name).range, [-limit, limit])
 
 
+def test_hinges_stiffen_towards_their_limit():
+    model, _ = built(neck_stiffening=5.0, neck_stiffness_n_m_rad=6e-3)
+    neck = model.joint("neck1").id
+    linear, square = model.jnt_stiffness[neck], model.jnt_stiffnesspoly[neck]
+    moment = linear * 0.35 + square[0] * 0.35**2 + square[1] * 0.35**3
+    assert moment == pytest.approx(6 * 6e-3 * 0.35)  # six times the linear one at the limit
+    assert square[0] == 0  # the same to both sides
+
+
+def test_joint_stops_are_hard_whatever_the_ground_is():
+    model, _ = built(contact_time_constant_s=0.05, stop_time_constant_s=0.003)
+    assert (model.jnt_solref[1:, 0] == 0.003).all()
+    assert (model.geom_solref[model.geom_conaffinity > 0, 0] == 0.05).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_neighbouring_elements_meet_in_one_point(seed):
+    model, data = built(Morphology.from_unit(np.random.default_rng(seed).random(8)))
+    for i in range(7):
+        first, second = (model.geom(f"shell{k}").id for k in (i, i + 1))
+        apart = mujoco.mj_geomDistance(model, data, first, second, 0.01, None)
+        assert apart == pytest.approx(0, abs=1e-5)
+
+
+def test_inertia_is_that_of_a_solid_ellipsoid():
+    model, _ = built()
+    a, r, mass = 0.026 / 4, 0.010, 0.0025
+    expected = mass / 5 * np.array([2 * r * r, a * a + r * r, a * a + r * r])
+    assert np.sort(model.body("element2").inertia) == pytest.approx(np.sort(expected))
+
+
 @pytest.mark.parametrize(("axis", "direction"), [("yaw", [0, 0, 1]), ("pitch", [0, 1, 0])])
 def test_bend_axis_is_a_choice_and_necks_pitch(axis, direction):
     model, _ = built(bend_axis=axis)
@@ -129,10 +161,10 @@ def test_bend_axis_is_a_choice_and_necks_pitch(axis, direction):
 @pytest.mark.parametrize("joint", ["neck1", "bend1", "axial1"])
 def test_joint_deflects_by_load_over_stiffness(joint):
     """Static deflection in free space, with springs that do not pull."""
-    model, data = built(spring_strengths=[1e-9] * 12)
+    model, data = built(spring_strengths=[1e-9] * 12, neck_stiffening=0.0)
     model.opt.gravity[:] = 0
     data.qpos[2] = 1.0
-    rest = {"axial1": 4 * 10 * (0.026 + 0.008 - 0.016) / 500}.get(joint, 0.0)  # moulded longer
+    rest = {"axial1": 4 * 14.5 * (0.026 + 0.008 - 0.0222) / 500}.get(joint, 0.0)  # moulded longer
     load, stiffness = {"neck1": (1e-3, 6e-3), "bend1": (1e-3, 12e-3), "axial1": (-0.5, 500)}[joint]
     data.qfrc_applied[model.joint(joint).dofadr[0]] = load
     step(model, data, 4.0)
@@ -156,20 +188,21 @@ def test_centre_of_mass_falls_freely_whatever_the_springs_do():
     mujoco.mj_forward(model, data)
     before = data.subtree_com[1].copy()
     step(model, data, 0.1)
-    assert np.abs(data.qpos[7:]).max() > 0.2
+    assert np.abs(data.qpos[7:]).max() > 0.15
     np.testing.assert_allclose(data.subtree_com[1] - before, [0, 0, -9.81 * 0.1**2 / 2], atol=1.5e-4)
 
 
 @pytest.mark.parametrize("share", [0.7, 1.3])
 def test_feet_stick_below_the_friction_angle_and_slide_above(share):
     friction = 0.4
-    model, data = built(friction=friction, neck_stiffness_n_m_rad=1.0)  # stiff: a block on a slope
+    # Stiff and damped: a block on a slope.
+    model, data = built(friction=friction, neck_stiffness_n_m_rad=1.0, neck_damping_n_m_s_rad=0.01)
     step(model, data, 0.5)
     before = data.subtree_com[1, 0]
     slope = math.atan(share * friction)
     model.opt.gravity[:] = 9.81 * np.array([math.sin(slope), 0, -math.cos(slope)])
-    step(model, data, 1.0)
-    slid = 9.81 * (math.sin(slope) - friction * math.cos(slope)) / 2
+    step(model, data, 0.5)
+    slid = 9.81 * (math.sin(slope) - friction * math.cos(slope)) * 0.5**2 / 2
     if slid < 0:
         assert abs(data.subtree_com[1, 0] - before) < 0.0005
     else:
@@ -277,7 +310,8 @@ def test_every_segment_is_built_after_its_own_morphology():
     for number, segment in enumerate(body):
         elements = [model.body(f"element{2 * number + part}") for part in (0, 1)]
         assert sum(e.mass[0] for e in elements) == pytest.approx(segment.segment_mass_kg)
-        assert model.geom(f"shell{2 * number}").size[0] == segment.segment_radius_m
+        long, high = segment.segment_length_m / 4, segment.segment_radius_m
+        assert model.geom(f"shell{2 * number}").size.tolist() == [long, high, high]
         left, right = (data.geom(f"foot{number}_{side}").xpos for side in ("left", "right"))
         assert left[1] - right[1] == pytest.approx(segment.leg_separation_m)
         # Straight, all of them stand on their feet, the axis 2R above the ground.

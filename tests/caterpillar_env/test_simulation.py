@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from caterpillar_env import Morphology, Physics, SimulationError
+from caterpillar_env.ground import STANCE_M
 from caterpillar_env.simulation import Simulation
 from caterpillar_env.sma import SmaState, advance
 
@@ -29,7 +30,7 @@ def test_start_is_straight_at_rest_and_cold():
     np.testing.assert_allclose(state.com_m, [[-0.012 * 3.5, 0, 0.020]], atol=1e-12)
     np.testing.assert_allclose(state.up, [[0, 0, 1]], atol=1e-12)
     np.testing.assert_allclose(state.forward, [[1, 0, 0]], atol=1e-12)
-    np.testing.assert_allclose(state.clearance_m, 0, atol=1e-12)
+    np.testing.assert_allclose(state.clearance_m, -STANCE_M, atol=1e-12)
     assert not state.velocity.any()
     assert not state.joint_position.any()
     assert (state.temperature_c == 25).all()
@@ -195,7 +196,7 @@ def test_derived_state_is_one_physics_step_old_and_joints_are_not():
     simulation._refresh(np.array([0]))
     mass = simulation.drawable(0)[0].body_mass[1:]
     assert np.ptp(mass) == 0  # so that the mean of the elements is that of the mass
-    np.testing.assert_allclose(moved_m, simulation.state().velocity[0, :3] * 0.005, atol=2e-6)
+    np.testing.assert_allclose(moved_m, simulation.state().velocity[0, :3] * 0.0025, atol=2e-6)
 
 
 def test_clearance_is_that_of_the_lowest_point():

@@ -267,9 +267,9 @@ def test_state_at_a_temperature_is_clipped_to_the_loop():
 
 
 def test_force_of_pure_phases_and_their_mixture():
-    # 20 mm beyond the rest length: 35 N/m gives 0.70 N, 10 N/m gives 0.20 N.
+    # At 36 mm: 35 N/m beyond 16 mm gives 0.70 N, 14.5 N/m beyond 22.2 mm gives 0.20 N.
     force = spring_force(NITI, np.full(3, 0.036), np.array([1.0, 0.0, 0.5]))
-    np.testing.assert_allclose(force, [0.70, 0.20, 0.45])
+    np.testing.assert_allclose(force, [0.70, 0.20, 0.45], rtol=1e-3)
 
 
 def test_spring_neither_pushes_nor_exceeds_its_limit():
@@ -278,7 +278,9 @@ def test_spring_neither_pushes_nor_exceeds_its_limit():
 
 
 def test_stroke_under_a_load():
-    spring = SmaSpring(austenite_rest_length_m=0.015, martensite_rest_length_m=0.017)
+    spring = SmaSpring(
+        austenite_rest_length_m=0.015, martensite_rest_length_m=0.017, martensite_stiffness_n_m=10.0
+    )
     load_n = 0.2
     cold_m, hot_m = 0.017 + load_n / 10, 0.015 + load_n / 35
     assert cold_m - hot_m == pytest.approx(load_n * (1 / 10 - 1 / 35) + (0.017 - 0.015))

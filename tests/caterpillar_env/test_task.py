@@ -20,14 +20,16 @@ def seen(up_z=1.0, clearance_m=0.0):
         up=np.array([[0.0, 0.0, up_z]]),
         forward=np.array([[1.0, 0.0, 0.0]]),
         clearance_m=np.array([clearance_m]),
+        load_n=np.array([[0.3, 0.0]]),
     )
 
 
-def judged(up_z=1.0, clearance_m=0.0, lateral_m=0.0, heading_rad=0.0, diverged=False):
+def judged(up_z=1.0, clearance_m=0.0, lateral_m=0.0, heading_rad=0.0, body_load=0.0, diverged=False):
     code = judge(
         seen(up_z, clearance_m),
         np.array([lateral_m]),
         np.array([heading_rad]),
+        np.array([body_load]),
         np.array([diverged]),
         Thresholds(),
     )
@@ -73,6 +75,8 @@ def gait(rows=1, intervals=10, seed=0):
         ({"lateral_m": 0.119}, Failure.NONE),
         ({"lateral_m": 0.121}, Failure.VEERED),
         ({"lateral_m": -0.121}, Failure.VEERED),
+        ({"body_load": 0.049}, Failure.NONE),
+        ({"body_load": 0.051}, Failure.SAGGED),
         ({"diverged": True}, Failure.DIVERGED),
     ],
     ids=str,
@@ -87,10 +91,24 @@ def test_graver_failure_is_told_first():
     assert judged(**everything | {"diverged": False}) is Failure.FLIPPED
     assert judged(up_z=0.0, clearance_m=1.0, lateral_m=1.0) is Failure.TIPPED
     assert judged(clearance_m=1.0, lateral_m=1.0) is Failure.JUMPED
+    assert judged(lateral_m=1.0, body_load=1.0) is Failure.VEERED
 
 
-def test_labels_are_the_words_of_the_paper():
-    labels = ["ok", "diverged", "flipped", "tipped", "jumped", "veered"]
+def test_robot_sags_once_its_body_has_carried_it_for_a_twentieth_of_the_episode():
+    # A robot on its back is carried by its body alone. Without the verdict flipped, it may lie there
+    # for 5 % of 30 s.
+    robots = crawl(thresholds=Thresholds(flipped_up=-2.0, tipped_up=-2.0))
+    pose(robots, 0, [0, 1, 0, 0], 0.012)
+    robots.run(off(intervals=14))
+    assert robots.failure[0] == Failure.NONE
+    assert robots.progress().body_load[0] == pytest.approx(1.4 / 30, rel=0.1)
+    robots.run(off(intervals=4))
+    assert robots.failure[0] == Failure.SAGGED
+    assert robots.progress().time_s[0] == pytest.approx(1.6, abs=0.11)
+
+
+def test_labels_are_the_words_of_the_paper_and_ours():
+    labels = ["ok", "diverged", "flipped", "tipped", "jumped", "veered", "sagged"]
     assert [failure.label for failure in Failure] == labels
 
 

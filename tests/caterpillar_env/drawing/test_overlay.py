@@ -90,7 +90,7 @@ def test_small_pictures_keep_their_size(size):
 def test_readout_of_a_row():
     progress = Progress(
         np.array([1.0, 2.0]), np.array([0.1, 0.2]), np.zeros(2), np.zeros(2), np.array([3.0, 4.0]),
-        np.array([Failure.NONE, Failure.TIPPED]),
+        np.zeros(2), np.array([Failure.NONE, Failure.TIPPED]),
     )  # fmt: skip
     assert Readout.of(progress) == (1.0, 0.1, 3.0, "ok", "")
     assert Readout.of(progress, 1) == (2.0, 0.2, 4.0, "tipped", "")

@@ -191,7 +191,7 @@ def test_new_body_is_drawn():
     old = env.render()
     env.reset(options={"morphology": SMALL})
     new = env.render()
-    shell = env._pictures._renderers[0][1]._model.geom("shell0").size[0]
+    shell = env._pictures._renderers[0][1]._model.geom("shell0").size[1]
     env.close()
     assert shell == pytest.approx(0.009)
     assert (new != old).any()

@@ -1,0 +1,33 @@
+"""Settings of MuJoCo: integrator, solver and what is switched off."""
+
+from __future__ import annotations
+
+import mujoco
+
+from caterpillar_env.physics import Physics
+
+_INTEGRATORS = {
+    "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    "rk4": mujoco.mjtIntegrator.mjINT_RK4,
+}
+_SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
+_CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
+
+
+def set_options(spec: mujoco.MjSpec, p: Physics) -> None:
+    """Write the numerical settings of `p` into a description of a model."""
+    option = spec.option
+    option.timestep = p.timestep_s
+    option.integrator = _INTEGRATORS[p.integrator]
+    option.solver = _SOLVERS[p.solver]
+    option.cone = _CONES[p.cone]
+    option.impratio = p.impratio
+    option.tolerance = p.solver_tolerance
+    option.iterations = p.solver_iterations
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # 4.0.0's sparse Newton Hessian is wrong
+    off = mujoco.mjtDisableBit
+    # A robot that blows up must stay visible as such, not be put back to the start.
+    option.disableflags |= off.mjDSBL_AUTORESET
+    # One robot on a plane is one island, with nothing to cull: the same bits for less.
+    option.disableflags |= off.mjDSBL_ISLAND | off.mjDSBL_MIDPHASE

@@ -1,0 +1,69 @@
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from caterpillar_env import Morphology, Physics
+from caterpillar_env.ground import clearances_m, condim, half_axes_m, loads_n, touching_geoms
+from caterpillar_env.model import build_model
+from caterpillar_env.simulation import Simulation
+
+WEIGHT_N = 4 * 0.008 * 9.81
+
+
+def turned(angle_rad):
+    """A rotation about y, row by row."""
+    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([cosine, 0, sine, 0, 1, 0, -sine, 0, cosine])
+
+
+@pytest.mark.parametrize(
+    ("angle_rad", "reach_m"),
+    [(0.0, 3.0), (math.pi / 2, 1.0), (math.pi / 4, math.sqrt((1 + 9) / 2))],
+)
+def test_lowest_point_of_a_tilted_ellipsoid(angle_rad, reach_m):
+    low = clearances_m(np.array([0.0, 0.0, 5.0]), turned(angle_rad), np.array([1.0, 2.0, 3.0]))
+    assert low == pytest.approx(5.0 - reach_m)
+
+
+def test_feet_and_shells_touch_the_ground_and_nothing_else_does():
+    model = build_model(Morphology(), Physics())
+    names = [model.geom(int(i)).name for i in touching_geoms(model)]
+    assert sorted(names) == sorted(
+        [f"shell{i}" for i in range(8)]
+        + [f"foot{i}_{side}" for i in range(4) for side in ("left", "right")]
+    )
+    feet = [name.startswith("foot") for name in names]
+    assert (half_axes_m(model)[feet] == 0.002).all()
+
+
+def test_straight_robot_stands_on_its_feet_and_they_bear_its_weight():
+    model = build_model(Morphology(), Physics())
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, nstep=1000)
+    feet_n, skin_n = loads_n(data.sensordata)
+    assert feet_n == pytest.approx(WEIGHT_N, rel=1e-3)
+    assert skin_n == 0.0
+
+
+def test_skin_bears_a_robot_that_lies_on_its_back():
+    simulation = Simulation(1, Physics(), 1)
+    simulation.reset([Morphology()])
+    pose = simulation.qpos(0)
+    pose[2:7] = [0.013, 0.0, 1.0, 0.0, 0.0]
+    simulation.place(pose[None])
+    simulation.advance(np.zeros((1, 200, 12)), every=10)
+    feet_n, skin_n = simulation.pose().load_n[0]
+    assert skin_n == pytest.approx(WEIGHT_N, rel=0.02)
+    assert feet_n == 0.0
+
+
+def test_without_friction_no_force_is_horizontal():
+    assert condim(0.8) == 3
+    assert condim(0.0) == 1
+    model = build_model(Morphology(), Physics(friction=0.0))
+    data = mujoco.MjData(model)
+    data.qvel[0] = 0.1
+    mujoco.mj_step(model, data, nstep=200)
+    assert data.qvel[0] == pytest.approx(0.1, rel=1e-3)
