@@ -87,7 +87,9 @@ class RobotScene:
             "color": tuple(colour), "opacity": opacity if opacity < 1 else None,
             "position": model.geom_pos[geom], "wxyz": model.geom_quat[geom],
         }  # fmt: skip
-        if shape == mujoco.mjtGeom.mjGEOM_SPHERE:
+        if shape == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+            self._scene.add_icosphere(name, scale=tuple(size), **placed)
+        elif shape == mujoco.mjtGeom.mjGEOM_SPHERE:
             self._scene.add_icosphere(name, radius=size[0], **placed)
         else:  # the ends of a leg's capsule are within the body and the foot
             self._scene.add_cylinder(name, radius=size[0], height=2 * size[1], **placed)
