@@ -1,35 +1,45 @@
 """The robots that the validation is run on: random ones, and evolved ones, kept as data.
 
-Evolution seeks out the faults of a simulator, random genomes do not. The evolved ones are the best of
-short runs of the genetic algorithm at the default physics; `python -m evolution.validation.robots` makes
-them anew (about ten minutes on two cores), which a change of the physics calls for.
+Evolution seeks out the faults of a simulator, random genomes do not. Each evolved robot is the best of a
+run of its own at the default physics: the genetic algorithm and CMA-ES, with and without the prior. A
+change of the physics calls for new ones: `python -m evolution.validation.robots FOLDER` evolves them
+(half an hour on two cores) and resumes runs that it finds in FOLDER.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-import tempfile
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
-from caterpillar_env.gait import GaitTimings
-from caterpillar_env.morphology import Body
+from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
+from caterpillar_env.morphology import Body, Morphology
 from caterpillar_env.physics import Physics
-from caterpillar_env.task import Failure
-from evolution.config import Prior, RunConfig
+from evolution.config import OptimizerName, Prior, RunConfig
+from evolution.evaluators import LocalEvaluator
 from evolution.genome import Encoding
 from evolution.individual import Individual
-from evolution.journal import Journal
 from evolution.optimizers.ga import GaConfig
-from evolution.run import evolve
+from evolution.run import evolve, resume
 
 FILE = Path(__file__).with_name("evolved.json")
-RUNS: tuple[tuple[Prior, int], ...] = tuple(
-    (prior, seed) for prior in ("preprocessed", "uniform") for seed in range(5)
-)
-TOP = 5  #: robots kept of each run
+SEEDS = 8  #: runs of each optimizer with each prior
+BUDGET_S = 4000.0  #: simulated seconds of a run
+_OPTIMIZERS: tuple[OptimizerName, ...] = ("ga", "cma-es")
+_PRIORS: tuple[Prior, ...] = ("preprocessed", "uniform")
+#: Configuration of the run behind each evolved robot.
+RUNS: tuple[RunConfig, ...] = tuple(
+    RunConfig(
+        seed=seed, generations=10_000, budget_s=BUDGET_S, optimizer=optimizer, prior=prior,
+        ga=GaConfig(population=30, hall_of_fame=4, elites_breed=False),
+    )
+    for seed in range(SEEDS)
+    for optimizer in _OPTIMIZERS
+    for prior in _PRIORS
+)  # fmt: skip
 
 
 def random_individuals(count: int, seed: int, physics: Physics) -> list[Individual]:
@@ -44,9 +54,28 @@ def random_robots(count: int, seed: int, physics: Physics) -> tuple[list[Body], 
     return together(random_individuals(count, seed, physics))
 
 
-def evolved_robots(count: int = TOP * len(RUNS)) -> list[Individual]:
-    """Evolved robots, the best of each run first."""
+def wave_robots(count: int, seed: int, physics: Physics) -> tuple[list[Body], GaitTimings]:
+    """Robots that crawl without being evolved: random bodies, springs heated in a wave from the tail."""
+    rng = np.random.default_rng(seed)
+    gaps, period_s = physics.num_segments - 1, GAIT_PERIOD_S
+    bodies: list[Body] = [Morphology.from_unit(rng.random(8)) for _ in range(count)]
+    lag, offset = rng.uniform(-0.35, -0.15, (count, 1, 1)), rng.uniform(0.4, 0.6, (count, 1, 1))
+    duty = rng.uniform(0.15, 0.25, (count, 1, 2))  # of the dorsal and the ventral pairs
+    on = (lag * np.arange(gaps)[:, None] + offset * np.arange(2)) % 1.0
+    off = (on + duty) % 1.0
+    return bodies, GaitTimings(
+        period_s, period_s * on.reshape(count, -1), period_s * off.reshape(count, -1)
+    )
+
+
+def evolved_robots(count: int = len(RUNS)) -> list[Individual]:
+    """Evolved robots, one a run: those of the first seed first, then the second, ..."""
     return [Individual.from_dict(data) for data in json.loads(FILE.read_text("utf-8"))[:count]]
+
+
+def farthest_robots(count: int) -> list[Individual]:
+    """The evolved robots that crawl farthest, in that order."""
+    return sorted(evolved_robots(), key=lambda r: -(r.fitness_m or 0.0))[:count]
 
 
 def together(robots: list[Individual]) -> tuple[list[Body], GaitTimings]:
@@ -56,33 +85,24 @@ def together(robots: list[Individual]) -> tuple[list[Body], GaitTimings]:
     return [r.morphology for r in robots], GaitTimings(robots[0].timings.period_s, on, off)
 
 
-def make(path: Path = FILE) -> None:
-    """Evolve them anew and write `path`, best robots of all runs first, then the second best, ..."""
-    ranked: list[list[Individual]] = []
-    for prior, seed in RUNS:
-        config = RunConfig(
-            seed=seed,
-            generations=10,
-            prior=prior,
-            ga=GaConfig(population=30, hall_of_fame=4),
-        )
-        with tempfile.TemporaryDirectory() as folder:
-            evolve(config, Path(folder) / "run")
-            ranked.append(best_of(Path(folder) / "run", config, TOP))
-        print(prior, seed, [f"{1000 * (r.fitness_m or 0):.0f}" for r in ranked[-1]], file=sys.stderr)
-    robots = [ranks[place] for place in range(TOP) for ranks in ranked]
+def make(folder: Path, path: Path = FILE) -> None:
+    """Evolve them anew in `folder` and write `path`, in the order of `RUNS`."""
+    names = [f"{config.optimizer}-{config.prior}-{config.seed}" for config in RUNS]
+    with ProcessPoolExecutor() as pool:
+        robots = list(pool.map(_evolved, RUNS, [folder / name for name in names]))
     path.write_text(json.dumps([r.to_dict() for r in robots], indent=1) + "\n", encoding="utf-8")
 
 
-def best_of(folder: Path, config: RunConfig, count: int) -> list[Individual]:
-    """The `count` best robots of a run."""
-    with Journal(folder) as journal:
-        healthy = [e for e in journal.evaluations() if e.failure is Failure.NONE]
-    return [
-        Individual.of_genome(e.genome, config.encoding, fitness_m=e.distance_m, generation=e.generation)
-        for e in sorted(healthy, key=lambda e: -e.distance_m)[:count]
-    ]
+def _evolved(config: RunConfig, folder: Path) -> Individual:
+    evaluator = LocalEvaluator(threads=1)
+    if folder.exists():
+        resume(folder, evaluator=evaluator)
+    else:
+        evolve(config, folder, evaluator=evaluator)
+    robot = Individual.load(folder)
+    print(folder.name, f"{1000 * (robot.fitness_m or 0):.0f} mm", file=sys.stderr, flush=True)
+    return robot
 
 
 if __name__ == "__main__":
-    make()
+    make(Path(sys.argv[1]))

@@ -1,12 +1,14 @@
 import numpy as np
 
 from evolution.validation.mechanics import detectors
-from evolution.validation.robots import evolved_robots, together
+from evolution.validation.robots import RUNS, evolved_robots, together
 
 
-def test_evolved_robots_are_fifty_and_repeat_their_record():
+def test_evolved_robots_come_from_a_run_each_and_repeat_their_record():
     robots = evolved_robots()
-    assert len(robots) == 50
+    assert len(robots) == len(RUNS) == 32
+    assert len({(run.optimizer, run.prior, run.seed) for run in RUNS}) == len(RUNS)
+    assert len({robot.digest for robot in robots}) == len(robots)
     best = robots[:2]
     for robot in best:
         assert robot.simulate().fitness()[0] == robot.fitness_m
