@@ -14,9 +14,21 @@ from rich.table import Table
 
 from evolution import cli
 from evolution.files import writing
-from evolution.validation import convergence, golden, material, mechanics, sensitivity
+from evolution.genome import Encoding
+from evolution.individual import Individual
+from evolution.validation import (
+    conservation,
+    convergence,
+    gaits,
+    golden,
+    material,
+    mechanics,
+    perturbation,
+    sensitivity,
+)  # fmt: skip
 from evolution.validation.check import Check
-from evolution.validation.robots import evolved_robots
+from evolution.validation.gaits import Gait
+from evolution.validation.robots import evolved_robots, farthest_robots
 
 
 @dataclass(frozen=True)
@@ -24,7 +36,7 @@ class ValidateArgs:
     """Check the physics; the exit status is 1 when a check fails."""
 
     quick: bool = False
-    """Fewer robots, shorter runs, a coarser reference: a minute instead of a quarter of an hour."""
+    """Fewer robots, shorter runs, coarser references: a minute instead of a quarter of an hour."""
     settings: bool = False
     """Also weigh numerical settings against one another (five minutes more); writes settings.json."""
     json: bool = False
@@ -41,9 +53,15 @@ def groups(*, quick: bool) -> dict[str, Callable[[], list[Check]]]:
         "mechanics": lambda: mechanics.statics(quick=quick),
         "symmetries": lambda: mechanics.symmetries(quick=quick),
         "rest": lambda: mechanics.rest(quick=quick),
+        "momentum and energy": lambda: conservation.checks(quick=quick),
         "golden trajectories": golden.checks,
-        "failure detectors": lambda: mechanics.detectors(evolved_robots(8 if quick else 50)),
+        "failure detectors": lambda: mechanics.detectors(_robots(quick)),
+        "joint stops": lambda: sensitivity.stop_checks(_robots(quick)),
     }
+
+
+def _robots(quick: bool) -> list[Individual]:
+    return evolved_robots(8) if quick else evolved_robots()
 
 
 def validate_command(argv: Sequence[str]) -> int:
@@ -58,6 +76,10 @@ def validate_command(argv: Sequence[str]) -> int:
         started = time.monotonic()
         results[name] = run()
         console.print(f"{_passed(results[name])} ({time.monotonic() - started:.0f} s)")
+    console.print("gaits of the evolved robots ... ", end="")
+    measured = gaits.measured(_robots(args.quick), quick=args.quick)
+    results["gaits of the evolved robots"] = gaits.checks(measured)
+    console.print(_passed(results["gaits of the evolved robots"]))
     console.print("timestep, most of the work ... ", end="")
     started = time.monotonic()
     compared = convergence.compare(quick=args.quick)
@@ -67,16 +89,22 @@ def validate_command(argv: Sequence[str]) -> int:
     material.plot(args.out / "sma.png")
     convergence.plot(compared, args.out / "timestep.png")
     if not args.quick:
-        sensitivity.plot(*sensitivity.sweep(evolved_robots(5)), args.out / "sensitivity.png")
+        sensitivity.plot(*sensitivity.sweep(farthest_robots(5)), args.out / "sensitivity.png")
+        ratios = perturbation.sweep(farthest_robots(10))
+        titles = [gene.title for gene in Encoding().genes]
+        perturbation.plot(ratios, titles, args.out / "perturbation.png")
     data = {group: [check._asdict() for check in found] for group, found in results.items()}
     text = json.dumps(data, indent=2)
     (args.out / "validation.json").write_text(text + "\n", encoding="utf-8")
-    tables = [_table(results)]
+    rows = [gait._asdict() for gait in measured]
+    (args.out / "gaits.json").write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    tables = [_table(results), _gaits(measured)]
     if args.settings:
         console.print("settings ...")
-        rows = convergence.settings_table()
-        (args.out / "settings.json").write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
-        tables.append(_settings(rows))
+        weighed = convergence.settings_table()
+        text_ = json.dumps(weighed, indent=2) + "\n"
+        (args.out / "settings.json").write_text(text_, encoding="utf-8")
+        tables.append(_settings(weighed))
     if args.json:
         print(text)
     else:
@@ -105,6 +133,23 @@ def _table(results: dict[str, list[Check]]) -> Table:
             table.add_row(
                 *(str(part) for part in check[:4]), verdict, style=None if check.passed else "red"
             )
+    return table
+
+
+def _gaits(measured: Sequence[Gait]) -> Table:
+    """How the evolved robots move, the farthest first."""
+    table = Table(title="Gaits of the evolved robots", title_justify="left")
+    for heading in (
+        "distance (mm)", "best tenth of the period", "peak speed (mm/s)", "slip over distance",
+        "load on the body", "overrun of a joint", "cost of transport", "body lengths per s",
+    ):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for g in sorted(measured, key=lambda g: -g.distance_m):
+        table.add_row(
+            f"{1000 * g.distance_m:.0f}", f"{g.best_tenth:.0%}", f"{1000 * g.peak_speed_m_s:.0f}",
+            f"{g.slip:.2f}", f"{g.body_load:.1%}", f"{g.overrun:.1%}", f"{g.cost_of_transport:.0f}",
+            f"{g.body_lengths_s:.3f}",
+        )  # fmt: skip
     return table
 
 

@@ -15,9 +15,11 @@ from caterpillar_env.gait import GaitTimings
 from caterpillar_env.physics import Physics
 from evolution.fitness import simulate
 from evolution.individual import Individual
+from evolution.validation.check import Check, near
 from evolution.validation.robots import together
 
 Array = NDArray[np.float64]
+STOPS = "softness of the joint stops 2.5 / 10 ms"
 
 
 class Swing(NamedTuple):
@@ -42,11 +44,17 @@ _PARAMETERS: tuple[tuple[str, Callable[[Physics], Physics], Callable[[Physics], 
      _set("neck_stiffness_n_m_rad", 3e-3), _set("neck_stiffness_n_m_rad", 12e-3)),
     ("neck damping 1e-4 / 3e-4 N m s/rad",
      _set("neck_damping_n_m_s_rad", 1e-4), _set("neck_damping_n_m_s_rad", 3e-4)),
+    ("neck stiffening 3 / 8", _set("neck_stiffening", 3.0), _set("neck_stiffening", 8.0)),
+    (STOPS, _set("stop_time_constant_s", 0.0025), _set("stop_time_constant_s", 0.01)),
+    ("softness of the ground 5 / 20 ms",
+     _set("contact_time_constant_s", 0.005), _set("contact_time_constant_s", 0.02)),
     ("coil shielding 0.5 / 1", _spring("coil_shielding", 0.5), _spring("coil_shielding", 1.0)),
     ("austenite stiffness 25 / 45 N/m",
      _spring("austenite_stiffness_n_m", 25.0), _spring("austenite_stiffness_n_m", 45.0)),
-    ("martensite stiffness 8 / 12 N/m",
-     _spring("martensite_stiffness_n_m", 8.0), _spring("martensite_stiffness_n_m", 12.0)),
+    ("martensite stiffness 12 / 17 N/m",
+     _spring("martensite_stiffness_n_m", 12.0), _spring("martensite_stiffness_n_m", 17.0)),
+    ("martensite rest length 20 / 24 mm",
+     _spring("martensite_rest_length_m", 0.020), _spring("martensite_rest_length_m", 0.024)),
     ("ambient 15 / 35 degC", _spring("ambient_c", 15.0), _spring("ambient_c", 35.0)),
     ("mismatch: two other draws", _set("mismatch_seed", 1001), _set("mismatch_seed", 1002)),
 )  # fmt: skip
@@ -71,6 +79,22 @@ def sweep(robots: list[Individual]) -> tuple[Array, list[Swing]]:
         paces.append(simulate(bodies, paced, physics).fitness())
     swings.append(Swing("gait period 4 / 6 s, same shares", paces[0], paces[1]))
     return simulate(bodies, timings, physics).fitness(), swings
+
+
+def stop_checks(robots: list[Individual]) -> list[Check]:
+    """The median distance hardly depends on the hardness of the joint stops."""
+    bodies, timings = together(robots)
+    medians_m = []
+    for factor in (0.5, 1.0, 2.0):
+        time_constant_s = factor * robots[0].physics.stop_time_constant_s
+        physics = replace(robots[0].physics, stop_time_constant_s=time_constant_s)
+        medians_m.append(float(np.median(simulate(bodies, timings, physics).fitness())))
+    hard_m, base_m, soft_m = medians_m
+    return [
+        near(f"median distance with {word} the stops' time constant", 1000 * base_m, 1000 * got_m, "mm",
+             rel=0.1)
+        for word, got_m in (("half", hard_m), ("twice", soft_m))
+    ]  # fmt: skip
 
 
 def plot(base: Array, swings: list[Swing], path: Path) -> None:

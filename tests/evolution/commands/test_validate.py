@@ -6,7 +6,7 @@ import pytest
 from evolution import cli
 from evolution.commands import validate
 from evolution.fitness import Outcomes
-from evolution.validation import convergence, golden
+from evolution.validation import convergence, gaits, golden
 from evolution.validation.check import at_most, same
 
 PLOTS = ("sma.png", "timestep.png")
@@ -19,7 +19,7 @@ def test_quick_validation_passes_and_leaves_its_plots(tmp_path, capsys):
     failed = [check for found in data.values() for check in found if not check["passed"]]
     assert not failed
     assert status == 0
-    assert len(data) == 8
+    assert len(data) == 11
     assert sum(map(len, data.values())) > 50
     for name in PLOTS:
         assert (tmp_path / "v" / name).stat().st_size > 10_000
@@ -31,13 +31,16 @@ def canned(monkeypatch, *, weight_n, golden_passes):
     nothing = np.zeros(4)
     outcomes = Outcomes(nothing.astype(np.int8), np.array([0.1, 0.2, 0.3, 0.4]), nothing, nothing)
     result = convergence.Comparison(
-        outcomes, outcomes, np.array([False, False, True, True]), np.zeros(2)
-    )
+        outcomes, outcomes, np.array([False, False, True, True]), np.zeros(2),
+        outcomes._replace(failure=outcomes.failure[2:], distance_m=outcomes.distance_m[2:]),
+    )  # fmt: skip
     monkeypatch.setattr(convergence, "compare", lambda *, quick: result)
     groups = {
         "mechanics": lambda: [at_most("weight", 1.0, weight_n, "N")],
         "golden trajectories": lambda: [same("path", True, golden_passes)],
     }
+    gait = gaits.Gait(0.1, 0.2, 0.1, 0.5, 0.0, 0.0, 1000.0, 0.03)
+    monkeypatch.setattr(gaits, "measured", lambda robots, *, quick: [gait])
     monkeypatch.setattr(validate, "groups", lambda *, quick: groups)
 
 
@@ -46,7 +49,7 @@ def test_a_failed_check_is_shown_and_sets_the_exit_status(tmp_path, capsys, monk
     assert cli.main(["validate", "--quick", "--out", str(tmp_path)]) == 1
     out, err = capsys.readouterr()
     assert "FAIL" in out
-    assert "5 of 6 checks passed" in " ".join(err.split())
+    assert "9 of 10 checks passed" in " ".join(err.split())
     assert golden.ADVICE[:30] not in " ".join(err.split())
 
 
