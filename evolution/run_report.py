@@ -23,6 +23,7 @@ from evolution.journal import Evaluation, Journal, Session
 from evolution.page import PageError, data_url, render
 from evolution.preprocessor import GenePrior, paper_priors
 from evolution.run import Generation, history, read_configuration
+from evolution.validation.gaits import measure
 from evolution.video import shows
 
 PAGE = "report.html"
@@ -167,6 +168,7 @@ def page(record: Record, figures: Mapping[str, str]) -> str:
         unknown_ends=len(record.sessions) - len(known),
         episode_s=EPISODE_S,
         best=record.best,
+        gait=None if record.best is None else measure(record.best),
         winner=record.winner,
         figures=figures,
         video=video,

@@ -138,7 +138,7 @@ def test_what_was_asked_is_told_where_it_is_not_the_default(folder):
     assert said == {
         "seed": ("4", "0"), "generations": ("2", "50"), "ga.population": ("3", "200"),
         "ga.hall_of_fame": ("1", "10"), "physics.num_segments": ("2", "4"),
-        "physics.timestep_s": ("0.01", "0.005"), "physics.friction": ("0.7", "0.8"),
+        "physics.timestep_s": ("0.01", "0.0025"), "physics.friction": ("0.7", "0.8"),
     }  # fmt: skip
 
 
