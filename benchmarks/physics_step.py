@@ -24,7 +24,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "tolerance 1e-6": {"solver_tolerance": 1e-6},
     "tolerance 1e-10": {"solver_tolerance": 1e-10},
     "implicitfast": {"integrator": "implicitfast"},
-    "timestep 2.5 ms": {"timestep_s": 0.0025},
+    "timestep 5 ms": {"timestep_s": 0.005},
     "timestep 10 ms": {"timestep_s": 0.01},
 }
 

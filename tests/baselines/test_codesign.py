@@ -38,7 +38,7 @@ def watched(tmp_path_factory):
         patch.setattr(CoDesign, "_on_rollout_start", started)
         patch.setattr(CoDesign, "_tell", telling)
         config = TrainConfig(
-            "ppo", "timing", design="uniform", budget_s=3000.0, evaluations=4, physics=SMALL
+            "ppo", "timing", design="uniform", budget_s=3400.0, evaluations=4, physics=SMALL
         )
         result = train(config, folder)
     return folder, result, bodies, told

@@ -203,9 +203,9 @@ def test_replay_of_a_record_is_identical(recorded, capsys):
 def test_replay_at_a_finer_timestep_gives_another_number(recorded, capsys):
     capsys.readouterr()
     arguments = ["replay", str(recorded / "best.json"), "--no-video", "--json"]
-    assert cli.main([*arguments, "--timestep-s", "0.0025"]) == 0
+    assert cli.main([*arguments, "--timestep-s", "0.00125"]) == 0
     said = json.loads(capsys.readouterr().out)
-    assert said["timestep_s"] == 0.0025
+    assert said["timestep_s"] == 0.00125
     assert said["identical"] is False
     assert said["fitness_m"] != said["recorded_fitness_m"]
 

@@ -215,4 +215,5 @@ def test_individual_of_genome_has_one_gait(individual):
 
 
 def test_every_failure_has_a_label():
-    assert [label(f) for f in Failure] == ["ok", "diverged", "flipped", "tipped", "jumped", "veered"]
+    labels = ["ok", "diverged", "flipped", "tipped", "jumped", "veered", "sagged"]
+    assert [label(f) for f in Failure] == labels

@@ -18,7 +18,7 @@ from evolution.preprocessor import paper_priors
 from evolution.run import Generation
 
 PERIOD_S = RunConfig().gait_period_s
-REASONS = ("diverged", "flipped", "tipped", "jumped", "veered")
+REASONS = ("diverged", "flipped", "tipped", "jumped", "veered", "sagged")
 
 
 def generation(number, best_m=0.01, mean_m=0.005, **failures):

@@ -25,7 +25,7 @@ QUICK = VideoConfig(speed=150.0, width=128, height=96)
 
 
 def individual(length_m=0.03):
-    timings = GaitTimings(PERIOD_S, np.array([0.0, 1.0]), np.array([1.0, 2.0]))
+    timings = GaitTimings(PERIOD_S, np.array([0.0, 0.1]), np.array([0.6, 0.7]))
     physics = Physics(num_segments=2)
     return Individual(Morphology(segment_length_m=length_m), timings, physics, fitness_m=0.01)
 

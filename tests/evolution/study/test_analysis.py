@@ -207,7 +207,7 @@ def test_best_robot_of_an_arm_is_looked_at_again_under_other_conditions(tmp_path
     assert first == [
         Winner(
             "a", 1, 0.3, pytest.approx(0.3 - 0.00025), "ok", (0.0, pytest.approx(0.5)),
-            (pytest.approx(0.301001), pytest.approx(0.301004)), 0.005, 0.8,
+            (pytest.approx(0.301001), pytest.approx(0.301004)), 0.0025, 0.8,
         )
     ]  # fmt: skip
     assert (tmp_path / "winners" / "a.json").read_text() == "0.3"
