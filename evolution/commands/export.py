@@ -61,8 +61,8 @@ class ExportArgs:
 def export_command(argv: Sequence[str]) -> int:
     """`caterpillar export`."""
     args = cli.parse(ExportArgs, argv, "export")
-    told = _write_model(args) if args.kind == "mjcf" else _write_table(args)
-    print(told, file=sys.stderr)
+    message = _write_model(args) if args.kind == "mjcf" else _write_table(args)
+    print(message, file=sys.stderr)
     return 0
 
 

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from evolution import cli
-from evolution.files import writing
+from evolution.files import write_json, writing
 from evolution.genome import Encoding
 from evolution.individual import Individual
 from evolution.validation import (
@@ -94,19 +94,16 @@ def validate_command(argv: Sequence[str]) -> int:
         titles = [gene.title for gene in Encoding().genes]
         perturbation.plot(ratios, titles, args.out / "perturbation.png")
     data = {group: [check._asdict() for check in found] for group, found in results.items()}
-    text = json.dumps(data, indent=2)
-    (args.out / "validation.json").write_text(text + "\n", encoding="utf-8")
-    rows = [gait._asdict() for gait in measured]
-    (args.out / "gaits.json").write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    write_json(args.out / "validation.json", data)
+    write_json(args.out / "gaits.json", [gait._asdict() for gait in measured])
     tables = [_table(results), _gaits(measured)]
     if args.settings:
         console.print("settings ...")
-        weighed = convergence.settings_table()
-        text_ = json.dumps(weighed, indent=2) + "\n"
-        (args.out / "settings.json").write_text(text_, encoding="utf-8")
-        tables.append(_settings(weighed))
+        rows = convergence.settings_table()
+        write_json(args.out / "settings.json", rows)
+        tables.append(_settings(rows))
     if args.json:
-        print(text)
+        print(json.dumps(data, indent=2))
     else:
         for table in tables:
             Console(width=None if sys.stdout.isatty() else 150).print(table)
