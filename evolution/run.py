@@ -1,5 +1,4 @@
-"""A run: ask, evaluate, record, tell, until the generations are through, the target is reached or
-the budget is spent, or somebody stops it.
+"""A run: ask, evaluate, record and tell, until the last generation, the target or the budget is reached.
 
 Resuming is replaying: the optimizer is made anew and asks the same questions, which the journal answers
 as far as it goes.

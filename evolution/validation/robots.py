@@ -86,7 +86,7 @@ def together(robots: list[Individual]) -> tuple[list[Body], GaitTimings]:
 
 
 def make(folder: Path, path: Path = FILE) -> None:
-    """Evolve them anew in `folder` and write `path`, in the order of `RUNS`."""
+    """Evolve the robots in run folders within `folder`; write them to `path`, ordered as `RUNS`."""
     names = [f"{config.optimizer}-{config.prior}-{config.seed}" for config in RUNS]
     with ProcessPoolExecutor() as pool:
         robots = list(pool.map(_evolved, RUNS, [folder / name for name in names]))
