@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import PARAMETERS, Morphology
+from caterpillar_env.task import EPISODE_S
 from evolution.fitness import simulate
 from evolution.individual import Individual
 from evolution.validation.robots import together
@@ -44,12 +45,12 @@ def perturbed(robot: Individual, share: float, rng: np.random.Generator) -> list
     return robots
 
 
-def sweep(robots: Sequence[Individual]) -> Array:
+def sweep(robots: Sequence[Individual], duration_s: float = EPISODE_S) -> Array:
     """Distances over those of the unchanged robots, shape (shares, robots, genes); 0 for failed ones."""
     rng = np.random.default_rng(_SEED)
     every = [r for share in SHARES for robot in robots for r in perturbed(robot, share, rng)]
     bodies, timings = together([*robots, *every])
-    fitness_m = simulate(bodies, timings, robots[0].physics).fitness()
+    fitness_m = simulate(bodies, timings, robots[0].physics, duration_s=duration_s).fitness()
     base_m, rest_m = np.split(fitness_m, [len(robots)])
     ratios: Array = rest_m.reshape(len(SHARES), len(robots), -1) / base_m[:, None]
     return ratios

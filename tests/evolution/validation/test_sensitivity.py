@@ -10,13 +10,13 @@ from evolution.validation.robots import evolved_robots, together
 
 @pytest.mark.slow
 def test_each_parameter_is_changed_alone_and_drawn(tmp_path):
-    robots = evolved_robots(2)
+    robots = evolved_robots(1)
     base, swings = sensitivity.sweep(robots)
     assert base.tolist() == [robot.fitness_m for robot in robots]
     named = {swing.name: swing for swing in swings}
     assert len(named) == len(swings)
     for swing in swings:
-        assert swing.low_m.shape == swing.high_m.shape == (2,)
+        assert swing.low_m.shape == swing.high_m.shape == (1,)
         if swing.name != sensitivity.STOPS:  # robots that never reach a stop do not feel it
             assert not np.array_equal(swing.low_m, swing.high_m), swing.name
     slippery = replace(robots[0].physics, friction=0.4)
