@@ -189,7 +189,8 @@ def test_every_algorithm_trains_and_comes_back(tmp_path, algorithm, mode, fields
 @pytest.mark.filterwarnings("default")
 def test_a_policy_learns_to_crawl_farther_than_before_and_than_at_random(tmp_path):
     """Five thousand seconds of the nominal robot: a first step, not a gait."""
-    asked = TrainConfig("ppo", "timing", budget_s=5000.0, evaluations=12, seed=0)
+    coarse = Physics(timestep_s=0.01)  # a quarter of the cost; learning is what is tested here
+    asked = TrainConfig("ppo", "timing", budget_s=5000.0, evaluations=12, seed=0, physics=coarse)
     result = train(asked, tmp_path / "run")
     robot = TrainedRobot.load(tmp_path / "run")
     at_random = Policy(AtRandom(judge(asked).action_space, 0), None)
