@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from baselines.config import TrainConfig, TrainingError
 from baselines.records import Record, best_of, evaluations
+from caterpillar_env.files import writing
 from caterpillar_env.morphology import Morphology
-from evolution.files import writing
 
 
 class Summary(NamedTuple):

@@ -20,12 +20,11 @@ from baselines.config import TrainConfig, TrainingError, hyperparameters
 from baselines.records import Record, best_of, evaluations
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.episodes import Episodes
+from caterpillar_env.files import write_json
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
+from caterpillar_env.robot import Outcomes, digest_of
 from caterpillar_env.simulation import Trace
-from evolution.files import write_json
-from evolution.fitness import Outcomes
-from evolution.individual import digest_of
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "ppo": PPO, "a2c": A2C, "sac": SAC, "tqc": TQC, "ars": ARS,
@@ -117,7 +116,7 @@ def load(folder: Path, which: Which = "best") -> Policy:
 
 @dataclass(frozen=True)
 class TrainedRobot:
-    """A body that crawls by a policy, in some physics: what `Individual` is to a genome."""
+    """A body that crawls by a policy, in some physics: what `Robot` is to a genome."""
 
     policy: Policy
     config: TrainConfig

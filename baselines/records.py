@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from baselines.config import TrainConfig, TrainingError
+from caterpillar_env.files import read, write_json
 from caterpillar_env.morphology import NAMES, Morphology
-from evolution.files import read, write_json
 
 RECORD = "training.json"
 EVALUATIONS = "evaluations.csv"

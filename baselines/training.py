@@ -20,9 +20,9 @@ from baselines.config import TrainConfig, TrainingError, hyperparameters
 from baselines.policy import ALGORITHMS, Policy, judge, settings
 from baselines.records import TENSORBOARD, Point, Record, append
 from baselines.vec_env import CaterpillarVecEnv
+from caterpillar_env.files import make_folder
 from caterpillar_env.task import EPISODE_S, label
-from evolution.files import make_folder
-from evolution.journal import fingerprint
+from evolution.run.journal import fingerprint
 
 _LEAST_ROLLOUTS = 5  #: that bodies are to evolve in
 

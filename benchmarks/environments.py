@@ -25,7 +25,7 @@ import caterpillar_env  # noqa: F401  registers the environments
 from benchmarks.harness import report, spread, turns
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.sma import SmaState, advance
-from evolution.speed import recorded
+from caterpillar_env.validation.recorder import recorded
 
 Array = NDArray[np.float64]
 IDS = {"switch": "CaterpillarSMASwitch-v0", "timing": "CaterpillarSMA-v0"}

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from evolution.machine import cores, processor
+from caterpillar_env.machine import cores, processor
 
 Array = NDArray[np.float64]
 

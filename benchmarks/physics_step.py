@@ -13,8 +13,8 @@ import mujoco
 from benchmarks.harness import report, rounds, spread, timed
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.task import Crawl
-from evolution.speed import EngineCalls, recorded
-from evolution.validation.robots import evolved_robots, together
+from caterpillar_env.validation.recorder import EngineCalls, recorded
+from caterpillar_env.validation.robots import evolved_robots, together
 
 SECONDS = 5.0
 SETTINGS: dict[str, dict[str, Any]] = {

@@ -16,11 +16,12 @@ import numpy as np
 
 from benchmarks.harness import report, rounds, spread, timed
 from caterpillar_env.physics import SMA_STEP_S, Physics
+from caterpillar_env.robot import simulate
 from caterpillar_env.task import EPISODE_S, Crawl
-from evolution.fitness import evaluate, simulate
+from caterpillar_env.validation.recorder import recorded
+from caterpillar_env.validation.robots import random_robots
 from evolution.genome import Encoding
-from evolution.speed import recorded
-from evolution.validation.robots import random_robots
+from evolution.run.evaluators import evaluate
 
 
 def evaluation(bodies: int, seconds: float, repeats: int) -> None:

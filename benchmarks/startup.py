@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.harness import report, rounds, spread, timed
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import Crawl
-from evolution.validation.robots import random_robots
+from caterpillar_env.validation.robots import random_robots
 
 
 def process(*argv: str) -> Callable[[], float]:

@@ -18,6 +18,7 @@ from caterpillar_env.sma import SmaSpring
 SMA_STEP_S = 0.01
 #: Control interval: how often failures are judged and, in switch mode, the power may change.
 CONTROL_INTERVAL_S = 0.1
+GRAVITY_M_S2 = 9.81
 
 Integrator = Literal["discrete", "implicitfast", "rk4"]
 Solver = Literal["newton", "cg"]

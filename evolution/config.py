@@ -10,13 +10,13 @@ import numpy as np
 from caterpillar_env.errors import CaterpillarError, check_choice, from_mapping
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.physics import Physics
-from evolution.distributions import Distribution, Uniform
 from evolution.genome import Encoding, GenomeKind
 from evolution.optimizers.base import Optimizer
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
 from evolution.optimizers.random_search import RandomSearch, Sampling
-from evolution.preprocessor import Clipping, paper_priors
+from evolution.priors.distributions import Distribution, Uniform
+from evolution.priors.preprocessor import Clipping, paper_priors
 
 OptimizerName = Literal["ga", "cma-es", "random"]
 Prior = Literal["preprocessed", "uniform", "init-only", "mutation-only", "mirrored"]

@@ -14,7 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, pair_names, spring_names
 from caterpillar_env.morphology import PARAMETERS, Body, Morphology
 from caterpillar_env.physics import Physics
+from caterpillar_env.robot import Robot
 
 Array = NDArray[np.float64]
 GenomeKind = Literal["shared", "full", "per-segment"]
@@ -117,6 +118,12 @@ class Encoding:
         segments = array[:, : size * count].reshape(len(array), count, size)
         bodies = [tuple(Morphology.from_unit(segment) for segment in row) for row in segments]
         return [body if self.kind == "per-segment" else body[0] for body in bodies], timings
+
+    def robot(self, genome: Array, **record: Any) -> Robot:
+        """The robot of a genome (n,) in [0, 1]; keywords are what was recorded of it, see `Robot`."""
+        (body,), timings = self.decode(genome[None])
+        gait = GaitTimings(timings.period_s, timings.on_s[0], timings.off_s[0])
+        return Robot(body, gait, self.physics, **record)
 
 
 def gene_values(bodies: Sequence[Body], timings: GaitTimings) -> Array:

@@ -8,7 +8,7 @@ from caterpillar_env import Physics
 from evolution.config import OptimizerName, RunConfig
 from evolution.optimizers.cma_es import CmaConfig
 from evolution.optimizers.ga import GaConfig
-from evolution.run import evolve
+from evolution.run.loop import evolve
 
 SEEDS = (0, 1)
 SMALL = Physics(num_segments=2)  # a gap with four springs: quick, and a poor crawler

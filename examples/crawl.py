@@ -3,9 +3,9 @@
 import gymnasium
 
 import caterpillar_env  # noqa: F401  registers the environments
-from evolution.validation.robots import evolved_robots
+from caterpillar_env.validation.robots import evolved_robots
 
-(robot,) = evolved_robots(1)  # for the best robot of a run: Individual.load(Path("runs/NAME"))
+(robot,) = evolved_robots(1)  # for the best robot of a run: Robot.load(Path("runs/NAME"))
 env = gymnasium.make("CaterpillarSMA-v0")
 observation, info = env.reset(seed=0, options={"morphology": robot.morphology})
 action = robot.timings.to_action()

@@ -3,10 +3,10 @@
 import tempfile
 from pathlib import Path
 
+from caterpillar_env.robot import Robot
 from evolution.config import RunConfig
-from evolution.individual import Individual
 from evolution.optimizers.ga import GaConfig
-from evolution.run import Generation, evolve
+from evolution.run.loop import Generation, evolve
 
 
 def tell(generation: Generation) -> None:
@@ -19,7 +19,7 @@ config = RunConfig(seed=1, generations=3, ga=GaConfig(population=5, hall_of_fame
 folder = Path(tempfile.mkdtemp(prefix="caterpillar-"))
 evolve(config, folder, on_generation=tell)
 
-best = Individual.load(folder)  # best.json; the journal beside it holds everybody
+best = Robot.load(folder)  # best.json; the journal beside it holds everybody
 for name, value in best.to_dict()["morphology"].items():
     print(f"{name:18} {value:.4f}")
 print(f"again: {1000 * best.simulate().distance_m[0]:.1f} mm; film it: caterpillar replay {folder}")

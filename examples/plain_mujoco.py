@@ -11,9 +11,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from caterpillar_env.robot import Robot
 from caterpillar_env.sma import SmaState, advance
 from evolution.cli import main as caterpillar
-from evolution.individual import Individual
 
 DURATION_S = 30.0
 THERMAL_STEP_S = 0.01
@@ -29,7 +29,7 @@ model = mujoco.MjModel.from_xml_path(str(xml))
 data = mujoco.MjData(model)
 
 # The gait: the power to each spring in each thermal step, period after period.
-robot = Individual.load(source)
+robot = Robot.load(source)
 period = robot.timings.of_springs(model.nu).power(THERMAL_STEP_S)
 steps = round(DURATION_S / THERMAL_STEP_S)
 power = np.resize(period, (steps, model.nu))

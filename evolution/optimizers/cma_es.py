@@ -9,8 +9,8 @@ import cma
 import numpy as np
 from numpy.typing import NDArray
 
-from evolution.distributions import Distribution, Uniform
 from evolution.optimizers.base import OptimizerError, check_told
+from evolution.priors.distributions import Distribution, Uniform
 
 Array = NDArray[np.float64]
 

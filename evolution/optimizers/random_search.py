@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from caterpillar_env.errors import check_choice
-from evolution.distributions import Distribution
 from evolution.optimizers.base import OptimizerError, check_told
+from evolution.priors.distributions import Distribution
 
 Array = NDArray[np.float64]
 Sampling = Literal["independent", "sobol"]

@@ -19,14 +19,14 @@ import numpy as np
 import polars
 
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.robot import AnyRobot, Robot
 from caterpillar_env.task import Failure
 from evolution.config import RunConfig
-from evolution.database import JournalError
-from evolution.evaluators import LocalEvaluator
-from evolution.individual import Individual, Robot
-from evolution.journal import FILE, Journal
-from evolution.records import table
-from evolution.run import evolve, read_configuration, resume
+from evolution.run.database import JournalError
+from evolution.run.evaluators import LocalEvaluator
+from evolution.run.history import table
+from evolution.run.journal import FILE, Journal
+from evolution.run.loop import evolve, read_configuration, resume
 
 _FOREVER = 1_000_000  # generations: the budget ends a run
 
@@ -91,7 +91,7 @@ class Arm(Protocol):
         """The versions and machines that a finished run ran under."""
         ...
 
-    def best(self, folder: Path, budget_s: float) -> Robot | None:
+    def best(self, folder: Path, budget_s: float) -> AnyRobot | None:
         """The best robot of a finished run within the budget, if one crawled forwards."""
         ...
 
@@ -215,7 +215,7 @@ class EvolutionArm:
         with Journal(folder, read_only=True) as journal:
             return [session.fingerprint for session in journal.sessions]
 
-    def best(self, folder: Path, budget_s: float) -> Individual | None:
+    def best(self, folder: Path, budget_s: float) -> Robot | None:
         """See `Arm`."""
         with Journal(folder, read_only=True) as journal:
             rows = list(journal.evaluations())
@@ -228,8 +228,8 @@ class EvolutionArm:
         if not able:
             return None
         top = max(able, key=lambda row: row.distance_m)
-        return Individual.of_genome(
-            top.genome, self.config.encoding, fitness_m=top.distance_m, generation=top.generation
+        return self.config.encoding.robot(
+            top.genome, fitness_m=top.distance_m, generation=top.generation
         )
 
 

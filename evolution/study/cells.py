@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from evolution.evaluators import RayEvaluator
+from evolution.run.evaluators import RayEvaluator
 from evolution.study.arms import Arm, Standing
 from evolution.study.config import Cell, StudyConfig, StudyError, is_finished
 

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.files import read, write_json, writing
 from caterpillar_env.task import EPISODE_S
-from evolution.files import read, write_json, writing
 from evolution.study import arms as kinds
 from evolution.study.arms import Arm
 

@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 
 from caterpillar_env.morphology import NAMES
 from evolution.config import RunConfig
-from evolution.page import data_url, render
-from evolution.plots import FAILURE_COLOURS
-from evolution.preprocessor import paper_priors
+from evolution.priors.preprocessor import paper_priors
+from evolution.report.figures import FAILURE_COLOURS
+from evolution.report.page import data_url, render
 from evolution.study import statistics
 from evolution.study.analysis import Analysis, arrival, within_budget
 from evolution.study.arms import EvolutionArm
@@ -242,7 +242,7 @@ def write(analysis: Analysis, frame: polars.DataFrame, winners: Sequence[Winner]
     page = folder / "report.html"
     page.write_text(
         render(
-            "study/study.html", filters, name=folder.resolve().name, analysis=analysis,
+            "study.html", filters, name=folder.resolve().name, analysis=analysis,
             config=analysis.config, winners=winners, sentences=headline(analysis), figures=figures,
             version=version("caterpillar-sma"),
         ),

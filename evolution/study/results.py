@@ -13,7 +13,7 @@ import numpy as np
 import polars
 from numpy.typing import NDArray
 
-from evolution.files import write_json
+from caterpillar_env.files import write_json
 from evolution.study.arms import COLUMNS
 from evolution.study.config import Cell, StudyConfig, is_finished
 

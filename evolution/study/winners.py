@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
+from caterpillar_env.files import write_json
+from caterpillar_env.robot import AnyRobot
 from caterpillar_env.task import label
-from evolution.files import write_json
-from evolution.individual import Robot
 from evolution.study.config import Cell, StudyConfig, is_finished
 
 REFERENCE_TIMESTEP_S = 0.00025  #: see docs/physics.md
@@ -66,7 +66,7 @@ def winners(config: StudyConfig, folder: Path) -> list[Winner]:
     return found
 
 
-def _best(config: StudyConfig, cell: Cell, folder: Path) -> tuple[int, Robot] | None:
+def _best(config: StudyConfig, cell: Cell, folder: Path) -> tuple[int, AnyRobot] | None:
     """A finished run's seed and best robot within the budget, if one crawled forwards."""
     if not is_finished(config, cell, folder):
         return None
@@ -79,7 +79,7 @@ def _winner(data: dict[str, Any]) -> Winner:
     return Winner(**{**data, **low_high})
 
 
-def _look_again(arm: str, seed: int, robot: Robot) -> Winner:
+def _look_again(arm: str, seed: int, robot: AnyRobot) -> Winner:
     fine = robot.simulate(REFERENCE_TIMESTEP_S)
     drawn = robot.physics.spring_strengths is None and robot.physics.mismatch_std > 0
 

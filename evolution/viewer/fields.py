@@ -11,7 +11,7 @@ import numpy as np
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import PARAMETERS, Morphology, Parameter
-from evolution.individual import Individual
+from caterpillar_env.robot import Robot
 
 #: Plausible ones are 0.4 to 1.2 (docs/sources.md).
 _LOWEST_FRICTION, _HIGHEST_FRICTION = 0.05, 1.5
@@ -28,19 +28,19 @@ class Field:
     lower: float
     upper: float
     decimals: int  #: to which it is shown
-    exact: Callable[[Individual], float]
-    put: Callable[[Individual, float], Individual]
+    exact: Callable[[Robot], float]
+    put: Callable[[Robot, float], Robot]
 
     @property
     def step(self) -> float:
         """The smallest change."""
         return float(10.0**-self.decimals)
 
-    def read(self, individual: Individual) -> float:
+    def read(self, individual: Robot) -> float:
         """The robot's number, rounded as it is shown."""
         return round(self.exact(individual), self.decimals)
 
-    def write(self, individual: Individual, value: float) -> Individual:
+    def write(self, individual: Robot, value: float) -> Robot:
         """The robot with another number, its record gone; itself if it shows that number already.
 
         Raises:
@@ -55,7 +55,7 @@ class Field:
         return replace(self.put(individual, value), fitness_m=None, generation=None)
 
 
-def fields_of(individual: Individual) -> list[Field]:
+def fields_of(individual: Robot) -> list[Field]:
     """All that can be changed of a robot with as many segments and times as this one."""
     body = individual.morphology
     segments = [None] if isinstance(body, Morphology) else list(range(len(body)))
@@ -86,12 +86,12 @@ def _friction(friction: float) -> Field:
 def _of_body(p: Parameter, segment: int | None) -> Field:
     unit, factor, decimals = _SHOWN[p.unit]
 
-    def exact(robot: Individual) -> float:
+    def exact(robot: Robot) -> float:
         body = robot.morphology
         part = body if isinstance(body, Morphology) else body[segment or 0]
         return factor * float(getattr(part, p.name))
 
-    def put(robot: Individual, value: float) -> Individual:
+    def put(robot: Robot, value: float) -> Robot:
         body = robot.morphology
         changed = {p.name: value / factor}
         if isinstance(body, Morphology):
@@ -111,11 +111,11 @@ def _of_body(p: Parameter, segment: int | None) -> Field:
     )
 
 
-def _of_gait(individual: Individual, index: int, edge: Literal["on", "off"]) -> Field:
-    def exact(robot: Individual) -> float:
+def _of_gait(individual: Robot, index: int, edge: Literal["on", "off"]) -> Field:
+    def exact(robot: Robot) -> float:
         return float((robot.timings.on_s if edge == "on" else robot.timings.off_s)[index])
 
-    def put(robot: Individual, value: float) -> Individual:
+    def put(robot: Robot, value: float) -> Robot:
         on, off = np.array(robot.timings.on_s), np.array(robot.timings.off_s)
         (on if edge == "on" else off)[index] = value
         return replace(robot, timings=GaitTimings(robot.timings.period_s, on, off))

@@ -11,9 +11,9 @@ from matplotlib.colors import to_hex
 from viser import GuiApi, GuiSliderHandle, GuiUplotHandle, uplot
 
 from caterpillar_env.drawing.overlay import spring_rgb
+from caterpillar_env.robot import Robot
 from caterpillar_env.sma import SmaSpring
 from caterpillar_env.task import EPISODE_S, Failure
-from evolution.individual import Individual
 from evolution.viewer.fields import Field, fields_of
 from evolution.viewer.session import History, Session
 
@@ -24,7 +24,7 @@ _SPEED = (0.1, 8.0, 0.1)
 
 #: Tells what a page's user wants: the label of a button, or a change of the robot.
 OnButton = Callable[[str], None]
-OnEdit = Callable[[Callable[[Individual], Individual]], None]
+OnEdit = Callable[[Callable[[Robot], Robot]], None]
 
 
 class Panel:
@@ -37,9 +37,7 @@ class Panel:
         on_edit: called with a function that makes the changed robot of the present one.
     """
 
-    def __init__(
-        self, gui: GuiApi, individual: Individual, on_button: OnButton, on_edit: OnEdit
-    ) -> None:
+    def __init__(self, gui: GuiApi, individual: Robot, on_button: OnButton, on_edit: OnEdit) -> None:
         self._gui = gui
         gui.main_panel.dock_right()
         gui.main_panel.set_width(370)
@@ -68,7 +66,7 @@ class Panel:
         """Whether the robot is to stay in view."""
         return bool(self._follow.value)
 
-    def show(self, individual: Individual) -> None:
+    def show(self, individual: Robot) -> None:
         """Put the sliders where the robot is."""
         for field, slider in self._sliders:
             slider.value = field.read(individual)  # type: ignore[misc]  # it can be set
@@ -96,7 +94,7 @@ class Panel:
         ):
             plot.data = (history.time_s.copy(), *(column.copy() for column in values.T))
 
-    def _add_slider(self, field: Field, individual: Individual, on_edit: OnEdit) -> None:
+    def _add_slider(self, field: Field, individual: Robot, on_edit: OnEdit) -> None:
         slider = self._gui.add_slider(
             field.label, field.lower, field.upper, field.step, field.read(individual), hint=field.hint
         )

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import viser
 
 from caterpillar_env.errors import CaterpillarError
-from evolution.individual import Individual
+from caterpillar_env.robot import Robot
 from evolution.viewer.panel import Panel
 from evolution.viewer.scene import RobotScene
 from evolution.viewer.session import Session
@@ -20,7 +20,7 @@ _FRAME_S = 1 / 30
 _TELL_S = 0.2  # between two states of the plots
 _LONGEST_FRAME_S = 0.25  # after a longer halt time goes on from where it was
 
-Edit = Callable[[Individual], Individual]
+Edit = Callable[[Robot], Robot]
 
 
 class Player:
@@ -33,7 +33,7 @@ class Player:
         individual: the robot to begin with.
     """
 
-    def __init__(self, page: viser.ClientHandle | viser.ViserServer, individual: Individual) -> None:
+    def __init__(self, page: viser.ClientHandle | viser.ViserServer, individual: Robot) -> None:
         self._page, self._original = page, individual
         self._session = Session(individual)
         self._wanted = individual  # what the sliders say

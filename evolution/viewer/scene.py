@@ -9,7 +9,7 @@ from viser import FrameHandle, LineSegmentsHandle, SceneApi
 
 from caterpillar_env.drawing.overlay import spring_rgb
 from caterpillar_env.model import build_model
-from evolution.individual import Individual
+from caterpillar_env.robot import Robot
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class RobotScene:
             plane_opacity=1.0, fade_distance=2.0,
         )  # fmt: skip
 
-    def build(self, individual: Individual) -> None:
+    def build(self, individual: Robot) -> None:
         """Put another robot in the place of the one that there is."""
         if self._robot is not None:
             self._robot.remove()

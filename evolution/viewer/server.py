@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import length_m, segments_of
-from evolution.individual import Individual
+from caterpillar_env.robot import Robot
 from evolution.viewer.player import Player
 from evolution.viewer.session import Session
 
@@ -43,7 +43,7 @@ class Viewer:
         CaterpillarError: the port cannot be had, or the robot's gait cannot be run.
     """
 
-    def __init__(self, individual: Individual, port: int) -> None:
+    def __init__(self, individual: Robot, port: int) -> None:
         self._individual = individual
         self._players: dict[int, Player] = {}
         self._lock = threading.Lock()
@@ -94,7 +94,7 @@ class Viewer:
             player.close()
 
 
-def _view(individual: Individual, aspect: float) -> tuple[Array, Array]:
+def _view(individual: Robot, aspect: float) -> tuple[Array, Array]:
     """Where the camera stands and what it looks at, so that the robot fills a page, m."""
     physics = individual.physics
     long_m = length_m(segments_of(individual.morphology, physics.num_segments))

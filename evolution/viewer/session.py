@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from caterpillar_env.gait import GaitTimings, whole
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
+from caterpillar_env.robot import Outcomes, Robot
 from caterpillar_env.simulation import Trace
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress
-from evolution.fitness import Outcomes
-from evolution.individual import Individual
 
 Array = NDArray[np.float64]
 
@@ -24,9 +23,9 @@ _OFF_S = (1.0, 3.5, 4.3, 1.8, 2.7, 0.2)
 _INTERVALS = whole(EPISODE_S, CONTROL_INTERVAL_S, "the episode")
 
 
-def nominal_robot() -> Individual:
+def nominal_robot() -> Robot:
     """The robot to begin with: the nominal body, with a gait that crawls."""
-    return Individual(Morphology(), GaitTimings(5.0, np.array(_ON_S), np.array(_OFF_S)), Physics())
+    return Robot(Morphology(), GaitTimings(5.0, np.array(_ON_S), np.array(_OFF_S)), Physics())
 
 
 class History(NamedTuple):
@@ -41,7 +40,7 @@ class History(NamedTuple):
 class Session:
     """One robot that crawls for 30 s, or until it fails, and that can be changed meanwhile.
 
-    Without changes it repeats `Individual.simulate` bit for bit.
+    Without changes it repeats `Robot.simulate` bit for bit.
 
     Args:
         individual: the robot.
@@ -51,7 +50,7 @@ class Session:
             those of its springs nor of its mirrored pairs.
     """
 
-    def __init__(self, individual: Individual) -> None:
+    def __init__(self, individual: Robot) -> None:
         self.individual = individual
         self._power = _power(individual)
         self._crawl = Crawl(1, individual.physics, threads=1)
@@ -69,7 +68,7 @@ class Session:
         )
         self._record()
 
-    def change(self, individual: Individual) -> bool:
+    def change(self, individual: Robot) -> bool:
         """Take another body, gait or physics.
 
         Returns:
@@ -139,7 +138,7 @@ class Session:
         """Whether the robot has failed or its time is up."""
         return self.failure is not Failure.NONE or self._count == _INTERVALS
 
-    def to_save(self) -> Individual:
+    def to_save(self) -> Robot:
         """The robot; with its fitness where it has crawled to the end unchanged."""
         if not self.over or self._changed_on_the_way:
             return self.individual
@@ -159,7 +158,7 @@ class Session:
         self._history.fraction[row] = state.fraction[0, ::stride]
 
 
-def _power(individual: Individual) -> Array:
+def _power(individual: Robot) -> Array:
     """Share of the drive power over one period, (steps, num_springs)."""
     timings = individual.timings
     whole(timings.period_s, CONTROL_INTERVAL_S, "the gait period")

@@ -10,10 +10,10 @@ from baselines.config import TrainConfig, TrainingError, hyperparameters
 from baselines.policy import AtRandom, Policy, TrainedRobot, judge, load
 from baselines.records import RECORD, Point, Record, evaluations
 from baselines.training import train
+from caterpillar_env.files import FileError
 from caterpillar_env.physics import Physics
+from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure
-from evolution.files import FileError
-from evolution.fitness import Outcomes
 
 SMALL = Physics(num_segments=2, timestep_s=0.01)
 

@@ -6,8 +6,9 @@ import pytest
 
 import caterpillar_env  # noqa: F401  (registers the environments)
 from caterpillar_env import GaitTimings, Physics
-from evolution.fitness import evaluate, simulate
+from caterpillar_env.robot import simulate
 from evolution.genome import Encoding
+from evolution.run.evaluators import evaluate
 
 PERIOD_S = 2.0
 DURATION_S = 4.0

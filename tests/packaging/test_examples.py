@@ -13,8 +13,8 @@ import pytest
 
 from caterpillar_env import Morphology, Physics
 from caterpillar_env.gait import GaitTimings
+from caterpillar_env.robot import Robot
 from caterpillar_env.task import Failure
-from evolution.individual import Individual
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
@@ -64,7 +64,7 @@ def test_robot_crawls_as_far_as_was_recorded(run):
 def test_plain_mujoco_comes_as_far_as_was_recorded(run, tmp_path):
     # Two segments make a short robot. It must not fail: a failed robot is stopped, and the loop goes on.
     gait = GaitTimings(5.0, np.array([0.0, 0.5]), np.array([1.5, 1.5]))
-    robot = Individual(Morphology(), gait, Physics(num_segments=2))
+    robot = Robot(Morphology(), gait, Physics(num_segments=2))
     (failure,), (distance_m,), _, _ = robot.simulate(threads=1)
     assert failure == Failure.NONE
     replace(robot, fitness_m=float(distance_m)).save(tmp_path / "short.json")

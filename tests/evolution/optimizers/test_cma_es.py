@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from evolution.distributions import TruncatedGaussian, Uniform
 from evolution.optimizers.base import OptimizerError
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
+from evolution.priors.distributions import TruncatedGaussian, Uniform
 
 GENES = [Uniform(), TruncatedGaussian(0.8, 0.1), TruncatedGaussian(0.0, 0.67)]
 

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from evolution.distributions import TruncatedGaussian, Uniform
 from evolution.optimizers.base import OptimizerError
 from evolution.optimizers.ga import GaConfig, GeneticAlgorithm, roulette
+from evolution.priors.distributions import TruncatedGaussian, Uniform
 
 CROSSOVERS = ["uniform", "one-point", "two-point"]
 

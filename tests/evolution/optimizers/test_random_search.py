@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from evolution.distributions import TruncatedGaussian, Uniform
 from evolution.optimizers.base import OptimizerError
 from evolution.optimizers.random_search import RandomSearch
+from evolution.priors.distributions import TruncatedGaussian, Uniform
 
 GENES = [Uniform(), TruncatedGaussian.with_floor(1.0)]
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from evolution.distributions import Uniform
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
 from evolution.optimizers.random_search import RandomSearch
+from evolution.priors.distributions import Uniform
 
 DIMENSIONS = 6
 

@@ -8,8 +8,8 @@ import pytest
 from scipy import stats
 
 from caterpillar_env.physics import Physics
+from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure
-from evolution.fitness import Outcomes
 from evolution.study.analysis import analyse, arrival
 from evolution.study.config import StudyConfig
 from evolution.study.headline import headline

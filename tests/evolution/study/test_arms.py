@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure
 from evolution.config import RunConfig
-from evolution.fitness import Outcomes
-from evolution.journal import Journal
+from evolution.run.journal import Journal
 from evolution.study.arms import EvolutionArm, Standing
 
 ARM = EvolutionArm(RunConfig())

@@ -13,8 +13,8 @@ import polars
 import pytest
 
 from evolution import cli
-from evolution.database import is_in_use
-from evolution.journal import Journal
+from evolution.run.database import is_in_use
+from evolution.run.journal import Journal
 from evolution.study.analysis import analyse
 from evolution.study.arms import ArmError
 from evolution.study.cells import Processes, RayTasks, run_study

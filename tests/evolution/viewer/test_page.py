@@ -10,7 +10,7 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 
-from evolution.individual import Individual
+from caterpillar_env.robot import Robot
 from evolution.viewer.session import nominal_robot
 
 pytest.importorskip("viser")
@@ -137,7 +137,7 @@ def test_bad_values_cannot_be_entered_and_the_robot_is_saved_as_it_is(browser, v
     with tab.page.expect_download() as download:
         tab.press("Save")
     download.value.save_as(tmp_path / "robot.json")
-    robot = Individual.load(tmp_path / "robot.json")
+    robot = Robot.load(tmp_path / "robot.json")
     assert robot.morphology.segment_radius_m == 0.0125
     assert robot.timings.on_s.tolist() == nominal_robot().timings.on_s.tolist()
     assert json.loads((tmp_path / "robot.json").read_text())["fitness_m"] is None

@@ -10,13 +10,13 @@ import pytest
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
-from evolution.individual import Individual
+from caterpillar_env.robot import Robot
 
 pytest.importorskip("viser")
 
 from evolution.viewer.player import Player
 
-ROBOT = Individual(
+ROBOT = Robot(
     Morphology(segment_length_m=0.0312345),
     GaitTimings(2.0, np.array([0.0, 1.0]), np.array([0.6, 1.5])),
     Physics(num_segments=2, timestep_s=0.01),

@@ -9,9 +9,9 @@ from caterpillar_env.errors import TimingError
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import SMA_STEP_S, Physics
+from caterpillar_env.robot import Robot
 from caterpillar_env.sma import SmaSpring
 from caterpillar_env.task import EPISODE_S, Failure
-from evolution.individual import Individual
 from evolution.viewer.session import Session, nominal_robot
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
@@ -20,7 +20,7 @@ GAIT = GaitTimings(2.0, np.array([0.0, 1.0]), np.array([0.6, 1.5]))
 
 @pytest.fixture
 def robot():
-    return Individual(Morphology(), GAIT, SHORT)
+    return Robot(Morphology(), GAIT, SHORT)
 
 
 def crawled(session, intervals=300):

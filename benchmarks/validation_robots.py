@@ -1,0 +1,58 @@
+"""Evolve the robots that the validation is run on: `python -m benchmarks.validation_robots FOLDER`.
+
+A change of the physics calls for new ones. It takes half an hour on two cores, and resumes runs that it
+finds in FOLDER. Each robot is the best of a run of its own at the default physics: the genetic algorithm
+and CMA-ES, with and without the prior.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from caterpillar_env.robot import Robot
+from caterpillar_env.validation.robots import FILE
+from evolution.config import OptimizerName, Prior, RunConfig
+from evolution.optimizers.ga import GaConfig
+from evolution.run.evaluators import LocalEvaluator
+from evolution.run.loop import evolve, resume
+
+SEEDS = 8  #: runs of each optimizer with each prior
+BUDGET_S = 4000.0  #: simulated seconds of a run
+_OPTIMIZERS: tuple[OptimizerName, ...] = ("ga", "cma-es")
+_PRIORS: tuple[Prior, ...] = ("preprocessed", "uniform")
+#: Configuration of the run behind each evolved robot.
+RUNS: tuple[RunConfig, ...] = tuple(
+    RunConfig(
+        seed=seed, generations=10_000, budget_s=BUDGET_S, optimizer=optimizer, prior=prior,
+        ga=GaConfig(population=30, hall_of_fame=4, elites_breed=False),
+    )
+    for seed in range(SEEDS)
+    for optimizer in _OPTIMIZERS
+    for prior in _PRIORS
+)  # fmt: skip
+
+
+def make(folder: Path, path: Path = FILE) -> None:
+    """Evolve the robots in run folders within `folder`; write them to `path`, ordered as `RUNS`."""
+    names = [f"{config.optimizer}-{config.prior}-{config.seed}" for config in RUNS]
+    with ProcessPoolExecutor() as pool:
+        robots = list(pool.map(_evolved, RUNS, [folder / name for name in names]))
+    path.write_text(json.dumps([r.to_dict() for r in robots], indent=1) + "\n", encoding="utf-8")
+
+
+def _evolved(config: RunConfig, folder: Path) -> Robot:
+    evaluator = LocalEvaluator(threads=1)
+    if folder.exists():
+        resume(folder, evaluator=evaluator)
+    else:
+        evolve(config, folder, evaluator=evaluator)
+    robot = Robot.load(folder)
+    print(folder.name, f"{1000 * (robot.fitness_m or 0):.0f} mm", file=sys.stderr, flush=True)
+    return robot
+
+
+if __name__ == "__main__":
+    make(Path(sys.argv[1]))

@@ -1,0 +1,109 @@
+"""Conservation of momentum on frictionless ground, and of energy without power."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from caterpillar_env.model import build_model
+from caterpillar_env.physics import SMA_STEP_S, Physics
+from caterpillar_env.simulation import Simulation
+from caterpillar_env.task import EPISODE_S
+from caterpillar_env.validation.check import Check, at_least, at_most
+from caterpillar_env.validation.mechanics import crawl_for
+from caterpillar_env.validation.robots import random_robots, wave_robots
+
+Array = NDArray[np.float64]
+_TIMESTEPS_S = (0.005, 0.0025, 0.001)
+
+
+def checks(*, quick: bool) -> list[Check]:
+    """Drift on frictionless ground, and the energy of robots without power."""
+    return [*momentum(quick=quick), *passive_energy(quick=quick)]
+
+
+def drift_m(physics: Physics, count: int, duration_s: float) -> Array:
+    """Drift of the centres of mass of `count` wave robots on frictionless ground, (count,)."""
+    bodies, timings = wave_robots(count, 5, physics)
+    power = timings.mirrored().power(SMA_STEP_S)
+    slippery = replace(physics, friction=0.0)
+    end = crawl_for(duration_s, bodies, power, slippery, stop_on_failure=False).progress()
+    return np.hypot(end.distance_m, end.lateral_m)
+
+
+def momentum(*, quick: bool) -> list[Check]:
+    """The drift falls in proportion to the timestep, and a fourth-order integrator has none.
+
+    Without friction no force is horizontal, so that the centre of mass must stay above one point. The
+    integrator is of first order in joint coordinates, and loses or gains a little momentum at each step.
+    """
+    count, duration_s = (6, 10.0) if quick else (12, EPISODE_S)
+    drifts = [
+        drift_m(replace(Physics(), timestep_s=timestep_s), count, duration_s)
+        for timestep_s in _TIMESTEPS_S
+    ]
+    middle = np.median(drifts, axis=1)
+    order = np.polyfit(np.log(_TIMESTEPS_S), np.log(middle), 1)[0]
+    exact = drift_m(replace(Physics(), integrator="rk4", timestep_s=0.0005), count, duration_s)
+    seen = ", ".join(
+        f"{1000 * d:.2g} mm at {1000 * t:g} ms" for d, t in zip(middle, _TIMESTEPS_S, strict=True)
+    )
+    return [
+        at_least(f"order of the drift in the timestep ({seen})", 0.7, float(order), ""),
+        at_most("drift without friction, Runge-Kutta at 0.5 ms: worst", 0.2, 1000 * exact.max(), "mm"),
+    ]
+
+
+def passive_energy(*, quick: bool) -> list[Check]:
+    """Bent robots that are let go without power lose energy all the way to rest.
+
+    On the ground a landing robot gets back some of what it presses into the soft contacts.
+    """
+    physics = Physics()
+    count, duration_s = (6, 2.0) if quick else (20, 5.0)
+    bodies, _ = random_robots(count, 8, physics)
+    rng = np.random.default_rng(8)
+    no_ground = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    steps = round(duration_s / physics.timestep_s)
+    in_space, on_ground, risen = [], [], []
+    for body in bodies:
+        model = build_model(body, physics, scenery=False)
+        bent = 0.9 * model.jnt_range[1:, 1] * rng.uniform(-1, 1, model.njnt - 1)
+        simulation = Simulation(1, physics, threads=1)
+        simulation.reset([body], offset=bent[None])
+        energy_j = _energy(model, simulation.qpos(0), physics, steps)
+        on_ground.append(_regained(energy_j))
+        risen.append((energy_j.max() - energy_j[0]) / (energy_j[0] - energy_j[-1]))
+        model.opt.disableflags |= no_ground
+        in_space.append(_regained(_energy(model, simulation.qpos(0), physics, steps)))
+    name = f"energy that {count} robots without power regain"
+    return [
+        at_most(f"{name} in free space, share of what they lose", 1e-4, max(in_space), ""),
+        at_most(f"{name} on the soft ground, likewise", 0.1, max(on_ground), ""),
+        at_most("the same, beyond what they started with", 1e-6, max(risen), ""),
+    ]
+
+
+def _regained(energy_j: Array) -> float:
+    """Largest rise of an energy, over its fall in all."""
+    return float((energy_j - np.minimum.accumulate(energy_j)).max() / (energy_j[0] - energy_j[-1]))
+
+
+def _energy(model: mujoco.MjModel, qpos: Array, physics: Physics, steps: int) -> Array:
+    """Kinetic, gravitational and elastic energy at the start of every step, J, (steps,)."""
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    spring, strengths = physics.spring, physics.strengths()
+    full_m = spring.force_limit_n / spring.martensite_stiffness_n_m  # stretch at the force limit
+    energy = np.empty(steps)
+    for step in range(steps):
+        mujoco.mj_step(model, data)
+        stretch = np.maximum(data.ten_length - spring.martensite_rest_length_m, 0.0)
+        linear = np.minimum(stretch, full_m)
+        stored = spring.martensite_stiffness_n_m * linear * (stretch - linear / 2)
+        energy[step] = data.energy.sum() + strengths @ stored
+    return energy

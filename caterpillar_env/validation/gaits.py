@@ -1,0 +1,131 @@
+"""How robots move: what tells a gait from a lunge, and what bears and stops them.
+
+The engine makes the very steps of the simulation once more, in a plain loop that reads every contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from caterpillar_env.ground import SKIN
+from caterpillar_env.morphology import length_m, segments_of
+from caterpillar_env.physics import GRAVITY_M_S2, SMA_STEP_S
+from caterpillar_env.robot import Robot
+from caterpillar_env.task import EPISODE_S, Crawl
+from caterpillar_env.validation.check import Check, at_most
+from caterpillar_env.validation.recorder import recorded
+
+Array = NDArray[np.float64]
+
+
+class Gait(NamedTuple):
+    """How one robot moves in an episode. Shares are of 1."""
+
+    distance_m: float  #: along the starting heading
+    best_tenth: float  #: share of the distance made in the best tenth of the gait period
+    peak_speed_m_s: float  #: of the centre of mass, over 10 ms
+    slip: float  #: path that the feet slide, weighted by their load, over the distance
+    body_load: float  #: share of the load on the body
+    overrun: float  #: largest travel of a joint beyond its limit, over the limit
+    cost_of_transport: float  #: electrical energy over weight times distance
+    body_lengths_s: float  #: distance over body length and time, 1/s
+
+
+def measure(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
+    """Let a robot crawl and measure its gait.
+
+    Args:
+        robot: body, gait and physics.
+        duration_s: how long at most; it crawls for whole gait periods, and for one at least.
+    """
+    physics, period_s = robot.physics, robot.timings.period_s
+    periods = max(1, int(duration_s / period_s + 1e-9))
+    crawl = Crawl(1, physics, threads=1, stop_on_failure=False)
+    crawl.reset([robot.morphology])
+    power = robot.timings.of_springs(physics.num_springs).power(SMA_STEP_S)[None]
+    with recorded(crawl.simulation) as calls:
+        for _ in range(periods):
+            crawl.run(power)
+    end = crawl.progress()
+    path = _replay(calls.models[0], np.concatenate([call["control"][0] for _, call in calls.calls]))
+    if not np.array_equal(path.qpos, crawl.simulation.qpos(0)):
+        raise AssertionError("the plain loop took other steps than the simulation: please report this")
+
+    per_step = round(SMA_STEP_S / physics.timestep_s)
+    com = path.com_m[::per_step]  # every thermal step
+    steps = np.diff(com, axis=0)
+    distance_m = float(end.distance_m[0])
+    folded = steps[:, 0].reshape(periods, -1).sum(axis=0)
+    window = len(folded) // 10
+    circular = np.concatenate([folded, folded[: window - 1]])
+    tenths = np.convolve(circular, np.ones(window), mode="valid")
+    weight_n = GRAVITY_M_S2 * float(calls.models[0].body_mass.sum())
+    body_m = length_m(segments_of(robot.morphology, physics.num_segments))
+    return Gait(
+        distance_m=distance_m,
+        best_tenth=float(tenths.max()) / distance_m,
+        peak_speed_m_s=float(np.linalg.norm(steps, axis=1).max()) / SMA_STEP_S,
+        slip=path.slip_m / distance_m,
+        body_load=path.body_load,
+        overrun=path.overrun,
+        cost_of_transport=float(end.energy_j[0]) / (weight_n * distance_m),
+        body_lengths_s=distance_m / body_m / (periods * period_s),
+    )
+
+
+class _Path(NamedTuple):
+    qpos: Array  #: at the end
+    com_m: Array  #: centre of mass before every step, and before the last once more, (K + 1, 3)
+    slip_m: float
+    body_load: float
+    overrun: float
+
+
+def _replay(model: mujoco.MjModel, control: Array) -> _Path:
+    """Step `model` from the start with `control`, (K, springs)."""
+    data = mujoco.MjData(model)
+    is_skin = model.geom_conaffinity == SKIN
+    limits = model.jnt_range[1:, 1]
+    com_m = np.empty((len(control) + 1, 3))
+    slip_m, skin_n, all_n, overrun = 0.0, 0.0, 0.0, 0.0
+    for step, springs in enumerate(control):
+        data.ctrl[:] = springs
+        mujoco.mj_step(model, data)  # contacts and velocities are those before the step
+        com_m[step] = data.subtree_com[1]
+        overrun = max(overrun, float(((np.abs(data.qpos[7:]) - limits) / limits).max()))
+        contact = data.contact
+        active = contact.efc_address >= 0
+        part = contact.geom[active, 1]
+        load_n = data.efc_force[contact.efc_address[active]]
+        skin = is_skin[part]
+        skin_n, all_n = skin_n + load_n[skin].sum(), all_n + load_n.sum()
+        feet_n = load_n[~skin]
+        if (total_n := feet_n.sum()) > 0:
+            twist = data.cvel[model.geom_bodyid[part[~skin]]]  # about the robot's centre of mass
+            arm = contact.pos[active][~skin] - com_m[step]
+            speed = np.hypot(*(twist[:, 3:] + np.cross(twist[:, :3], arm))[:, :2].T)
+            slip_m += float(feet_n @ speed / total_n) * model.opt.timestep
+    mujoco.mj_forward(model, data)
+    com_m[-1] = data.subtree_com[1]
+    return _Path(data.qpos.copy(), com_m, slip_m, float(skin_n / all_n), max(overrun, 0.0))
+
+
+def measured(robots: Sequence[Robot], *, quick: bool) -> list[Gait]:
+    """The gaits of robots; in a third of the time if `quick`."""
+    return [measure(robot, EPISODE_S / 3 if quick else EPISODE_S) for robot in robots]
+
+
+def checks(gaits: Sequence[Gait]) -> list[Check]:
+    """Stops stop, and legs carry."""
+    overruns, loads = [g.overrun for g in gaits], [g.body_load for g in gaits]
+    name = "largest overrun of a joint over its limit"
+    return [
+        at_most(f"{name}: median", 0.05, float(np.median(overruns)), ""),
+        at_most(f"{name}: worst robot", 0.15, max(overruns), ""),
+        at_most("share of the load on the body: mean", 0.05, float(np.mean(loads)), ""),
+    ]

@@ -1,0 +1,273 @@
+"""The SMA model against closed forms and against Dynalloy's table."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from caterpillar_env.physics import GRAVITY_M_S2
+from caterpillar_env.sma import SmaSpring, SmaState, SmaStep, advance, spring_force
+from caterpillar_env.validation.check import Check, at_most, near
+
+Array = NDArray[np.float64]
+_ONE = (1,)
+
+
+def closed_forms(*, quick: bool) -> list[Check]:
+    """Every closed form; `quick` makes no difference."""
+    return [
+        *_first_order_heating(),
+        _least_current(),
+        _adiabatic_pulse(),
+        _isotonic_stroke(),
+        *_branch_midpoints(),
+        *_partial_loops(),
+        _energy_balance(),
+    ]
+
+
+def _run(spring: SmaSpring, power: Array, step_s: float, state: SmaState | None = None) -> SmaStep:
+    """One spring under a power history (K,)."""
+    return advance(spring, state or SmaState.cold(spring, _ONE), power[:, None], step_s)
+
+
+def _temperature(spring: SmaSpring, step: SmaStep) -> Array:
+    """After each step, degC, (K,)."""
+    return SmaState(step.enthalpy_j_kg, step.fraction).temperature_c(spring)[:, 0]
+
+
+def _first_order_heating() -> list[Check]:
+    # T = T_amb + I^2 R' / (h s pi d) (1 - exp(-t / tau)), far below As.
+    spring = replace(SmaSpring(), drive_current_a=0.1)
+    rise = spring.heating_w_kg / spring.cooling_w_kg_k
+    tau = spring.time_constant_s
+    checks = []
+    for taus in (0.5, 1.0, 3.0):
+        steps = round(taus * tau / 0.01)
+        got = _temperature(spring, _run(spring, np.ones(steps), 0.01))[-1]
+        expected = spring.ambient_c + rise * -math.expm1(-steps * 0.01 / tau)
+        checks.append(
+            near(f"heating without transformation, t = {taus:g} tau", expected, got, "degC", rel=1e-9)
+        )
+    return checks
+
+
+def _least_current() -> Check:
+    spring = SmaSpring()
+    loss = spring.cooling_w_kg_k * spring.mass_per_m_kg  # h s pi d
+    expected = math.sqrt(
+        loss * (spring.austenite_finish_c - spring.ambient_c) / spring.resistance_per_m_ohm
+    )
+
+    def excess(current_a: float) -> float:
+        tried = replace(spring, drive_current_a=current_a)
+        reached = _temperature(tried, _run(tried, np.ones(2000), 0.04))[-1]
+        return float(reached) - spring.austenite_finish_c
+
+    got = float(brentq(excess, 0.5 * expected, 1.5 * expected, xtol=1e-6))
+    return near("least current that completes the transformation", expected, got, "A", rel=1e-3)
+
+
+def _adiabatic_pulse() -> Check:
+    spring = replace(SmaSpring(), convection_w_m2_k=1e-6)
+    sensible = spring.specific_heat_j_kg_k * (spring.austenite_finish_c - spring.ambient_c)
+    expected = (sensible + spring.latent_heat_j_kg) / spring.heating_w_kg
+    step = _run(spring, np.ones(2000), 5e-4)
+    got = float((np.argmax(step.fraction[:, 0] >= 1.0) + 1) * 5e-4)
+    return near("adiabatic pulse, m' (c dT + L) / (I^2 R')", expected, got, "s", abs_=5e-4)
+
+
+def _isotonic_stroke() -> Check:
+    s = SmaSpring()
+    load_n = 0.15
+
+    def length(xi: float) -> float:
+        def surplus(length_m: float) -> float:
+            return float(spring_force(s, np.array([length_m]), np.array([xi]))[0]) - load_n
+
+        return float(brentq(surplus, 0.0161, 0.05))
+
+    expected = load_n * (1 / s.martensite_stiffness_n_m - 1 / s.austenite_stiffness_n_m)
+    expected += s.martensite_rest_length_m - s.austenite_rest_length_m
+    got = length(0.0) - length(1.0)
+    return near("isotonic stroke under 0.15 N", 1000 * expected, 1000 * got, "mm", rel=1e-6)
+
+
+def _branch_midpoints() -> list[Check]:
+    spring = SmaSpring()
+    up = _run(spring, np.ones(2000), 1e-3)
+    hot = SmaState(up.enthalpy_j_kg[-1], up.fraction[-1])
+    down = _run(spring, np.zeros(6000), 1e-3, hot)
+    middle_up = (spring.austenite_start_c + spring.austenite_finish_c) / 2
+    middle_down = (spring.martensite_start_c + spring.martensite_finish_c) / 2
+    checks = []
+    for word, step, expected in (("heating", up, middle_up), ("cooling", down, middle_down)):
+        got = float(np.interp(0.5, *_sorted(step.fraction[:, 0], _temperature(spring, step))))
+        name = f"temperature at half austenite on {word}"
+        checks.append(near(name, expected, got, "degC", abs_=0.01))
+    return checks
+
+
+def _sorted(x: Array, y: Array) -> tuple[Array, Array]:
+    inside = (x > 0.01) & (x < 0.99)
+    order = np.argsort(x[inside])
+    return x[inside][order], y[inside][order]
+
+
+def _partial_loops() -> list[Check]:
+    spring = SmaSpring()
+    up = _run(spring, np.ones(2000), 1e-3)
+    turn = int(np.argmax(up.fraction[:, 0] >= 0.6))
+    state = SmaState(up.enthalpy_j_kg[turn], up.fraction[turn])
+    peak_c, peak_xi = float(_temperature(spring, up)[turn]), float(up.fraction[turn, 0])
+    # Cool until the cooling branch has taken 0.2 of it back, then heat to where the loop began.
+    down = _run(spring, np.zeros(6000), 1e-3, state)
+    fell = int(np.argmax(down.fraction[:, 0] <= peak_xi - 0.2))
+    frozen = _temperature(spring, down) > spring.martensite_start_c
+    low = SmaState(down.enthalpy_j_kg[fell], down.fraction[fell])
+    again = _run(spring, np.ones(500), 1e-3, low)
+    back = float(np.interp(peak_c, _temperature(spring, again), again.fraction[:, 0]))
+    drift = float(np.abs(down.fraction[frozen, 0] - peak_xi).max())
+    return [
+        at_most("change of the fraction between reversal and Ms", 0.0, drift, ""),
+        near("fraction where a partial loop closes (return-point memory)", peak_xi, back, "", abs_=1e-3),
+    ]
+
+
+def _energy_balance() -> Check:
+    """Supplied = stored + lost, the loss integrated here, on its own, from the temperatures."""
+    spring = SmaSpring()
+    rng = np.random.default_rng(0)
+    step_s, steps = 0.01, 3000
+    power = np.repeat(rng.random((steps // 50, 20)), 50, axis=0).round()
+    step = advance(spring, SmaState.cold(spring, (20,)), power, step_s)
+    temperature = SmaState(step.enthalpy_j_kg, step.fraction).temperature_c(spring)
+    padded = np.concatenate([np.full((1, 20), spring.ambient_c), temperature])
+    mean = (padded[1:] + padded[:-1]) / 2 - spring.ambient_c
+    lost = spring.cooling_w_kg_k * step_s * mean.sum(axis=0)
+    supplied = spring.heating_w_kg * step_s * step.power.sum(axis=0)
+    stored = step.state.enthalpy_j_kg - spring.specific_heat_j_kg_k * spring.ambient_c
+    worst = float(np.abs((stored + lost) / supplied - 1).max())
+    return at_most("energy balance of 20 random power histories, 30 s, relative", 0.005, worst, "")
+
+
+class WireRow(NamedTuple):
+    """A row of Dynalloy's table (Flexinol F1140): straight wire in still air."""
+
+    diameter_mm: float
+    resistance_ohm_m: float
+    current_ma: float  #: that transforms it in 1 s
+    cooling_lt_s: float
+    cooling_ht_s: float
+
+
+DYNALLOY = (
+    WireRow(0.10, 126, 200, 1.1, 0.9),
+    WireRow(0.13, 75, 320, 1.6, 1.4),
+    WireRow(0.15, 55, 410, 2.0, 1.7),
+    WireRow(0.20, 29, 660, 3.2, 2.7),
+    WireRow(0.25, 18.5, 1050, 5.4, 4.5),
+    WireRow(0.31, 12.2, 1500, 8.1, 6.8),
+    WireRow(0.38, 8.3, 2250, 10.5, 8.8),
+    WireRow(0.51, 4.3, 4000, 16.8, 14.0),
+)
+
+
+def convection_w_m2_k(
+    diameter_m: float, wire_c: float = 70.0, air_c: float = 25.0, emissivity: float = 0.8
+) -> float:
+    """Free convection and radiation of a horizontal wire (Churchill and Chu 1975), W/(m2 K)."""
+    film_k = (wire_c + air_c) / 2 + 273.15
+    conductivity = 0.0241 * (film_k / 273.15) ** 0.9  # of air, W/(m K)
+    viscosity = 1.327e-5 * (film_k / 273.15) ** 1.75  # kinematic, m2/s
+    prandtl = 0.71
+    rayleigh = GRAVITY_M_S2 / film_k * (wire_c - air_c) * diameter_m**3 * prandtl / viscosity**2
+    nusselt = (0.60 + 0.387 * rayleigh ** (1 / 6) / (1 + (0.559 / prandtl) ** (9 / 16)) ** (8 / 27)) ** 2
+    wire_k, air_k = wire_c + 273.15, air_c + 273.15
+    radiation: float = emissivity * 5.670e-8 * (wire_k**2 + air_k**2) * (wire_k + air_k)
+    free: float = nusselt * conductivity / diameter_m
+    return free + radiation
+
+
+def straight_wire(row: WireRow, *, high_temperature: bool) -> SmaSpring:
+    """The wire of a row of the table, driven at its current, in still air of 25 degC."""
+    d = row.diameter_mm / 1000
+    branches = (88.0, 98.0, 72.0, 62.0) if high_temperature else (68.0, 78.0, 66.0, 56.0)
+    names = ("austenite_start_c", "austenite_finish_c", "martensite_start_c", "martensite_finish_c")
+    return SmaSpring(
+        wire_diameter_m=d,
+        resistivity_ohm_m=row.resistance_ohm_m * math.pi * d**2 / 4,
+        drive_current_a=row.current_ma / 1000,
+        coil_shielding=1.0,
+        convection_w_m2_k=convection_w_m2_k(d),
+        cut_off_c=200.0,
+        **dict(zip(names, branches, strict=True)),
+    )
+
+
+def transformation_times_s(spring: SmaSpring) -> tuple[float, float]:
+    """Time to 90 % austenite from ambient, and from there (at Af, all austenite) to 10 %, s."""
+    step_s = 0.005
+    heating = _run(spring, np.ones(400), step_s)
+    hot = SmaState.at(spring, np.array([spring.austenite_finish_c]), np.ones(1))
+    cooling = _run(spring, np.zeros(4000), step_s, hot)
+    return (
+        float((np.argmax(heating.fraction[:, 0] >= 0.9) + 1) * step_s),
+        float((np.argmax(cooling.fraction[:, 0] <= 0.1) + 1) * step_s),
+    )
+
+
+def dynalloy(*, quick: bool) -> list[Check]:
+    """Heating and cooling times of high-temperature wire, the branch that nothing was fitted to."""
+    checks = [
+        near(
+            "convection at 0.15 mm against the model's constant", SmaSpring().convection_w_m2_k,
+            convection_w_m2_k(0.15e-3), "W/(m2 K)", rel=0.02,
+        )
+    ]  # fmt: skip
+    for row in DYNALLOY:
+        heating, cooling = transformation_times_s(straight_wire(row, high_temperature=True))
+        checks += [
+            near(
+                f"HT wire {row.diameter_mm:.2f} mm at {row.current_ma:g} mA: heating",
+                1.0,
+                heating,
+                "s",
+                rel=0.25,
+            ),
+            near(f"HT wire {row.diameter_mm:.2f} mm: cooling", row.cooling_ht_s, cooling, "s", rel=0.25),
+        ]
+    return checks
+
+
+def plot(path: Path) -> None:
+    """Ours over Dynalloy's, and the hysteresis loop of the default spring."""
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
+    diameters = [row.diameter_mm for row in DYNALLOY]
+    for high, colour, word in ((False, "tab:blue", "LT"), (True, "tab:red", "HT")):
+        times = [transformation_times_s(straight_wire(r, high_temperature=high)) for r in DYNALLOY]
+        left.plot(diameters, [t[1] for t in times], color=colour, label=f"{word}, model")
+        theirs = [r.cooling_ht_s if high else r.cooling_lt_s for r in DYNALLOY]
+        left.plot(diameters, theirs, "o", color=colour, label=f"{word}, data sheet")
+        middle.plot(diameters, [t[0] for t in times], color=colour, label=f"{word}, model")
+    middle.axhline(1.0, color="black", linestyle=":", label="data sheet")
+    left.set(xlabel="wire diameter (mm)", ylabel="time to cool by 90 % (s)")
+    middle.set(xlabel="wire diameter (mm)", ylabel="time to heat by 90 % (s)", ylim=(0, 1.5))
+    spring = SmaSpring()
+    up = _run(spring, np.ones(3000), 1e-3)
+    down = _run(spring, np.zeros(6000), 1e-3, SmaState(up.enthalpy_j_kg[-1], up.fraction[-1]))
+    right.plot(_temperature(spring, up), up.fraction[:, 0], color="tab:red", label="heating")
+    right.plot(_temperature(spring, down), down.fraction[:, 0], color="tab:blue", label="cooling")
+    right.set(xlabel="temperature (degC)", ylabel="austenite fraction")
+    for axis in (left, middle, right):
+        axis.legend(fontsize="small")
+        axis.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)

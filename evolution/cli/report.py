@@ -1,0 +1,77 @@
+"""`caterpillar report`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from caterpillar_env.errors import CaterpillarError
+from evolution import cli
+from evolution.cli.running import picture
+from evolution.run.journal import FILE as JOURNAL
+from evolution.study.config import SETTINGS, load
+from evolution.study.results import collect, thresholds, versions
+
+
+@dataclass(frozen=True)
+class ReportArgs:
+    """Write figures and report.html of a run, or of what is finished of a study."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """The folder of the run or the study."""
+    video: bool = True
+    """Of a run: write best.mp4, where it is missing or shows an earlier robot."""
+    winners: bool = True
+    """Of a study: simulate each arm's best robot again, where not yet done; takes minutes."""
+
+
+def report_command(argv: Sequence[str]) -> int:
+    """`caterpillar report`."""
+    args = cli.parse(ReportArgs, argv, "report")
+    console = cli.console()
+    if (args.folder / SETTINGS).is_file():
+        write_report(args.folder, console, look_again=args.winners)
+    elif (args.folder / JOURNAL).is_file():
+        page = picture(args.folder, console, video=args.video)
+        print(f"written: {page}", file=sys.stderr)
+    else:
+        raise CaterpillarError(
+            f"{args.folder} holds neither a run ({JOURNAL}) nor a study ({SETTINGS}); give the "
+            "folder that caterpillar evolve or caterpillar study made"
+        )
+    return 0
+
+
+def write_report(folder: Path, console: Console, *, look_again: bool) -> None:
+    """Write the report of a study, and print its answers."""
+    from evolution.study import report
+    from evolution.study.analysis import analyse
+    from evolution.study.headline import headline
+    from evolution.study.winners import winners
+
+    config = load(folder)
+    frame, missing = collect(config, folder)
+    if frame.is_empty():
+        raise CaterpillarError(
+            f"no run of {folder} is finished yet; go on with caterpillar study, or see caterpillar runs "
+            f"{folder}"
+        )
+    found = analyse(config, frame, missing, thresholds(config, folder, frame))
+    different = versions(config, folder)
+    if len(different) > 1:
+        console.print(
+            f"warning: runs were made under {len(different)} different sets of versions or machines "
+            "(table sessions of their journals): bits differ, and perhaps more",
+        )
+    if look_again:
+        console.print("looking at the best robots again ...")
+    best = winners(config, folder) if look_again else []
+    page = report.write(found, frame, best, folder)
+    print("\n".join(headline(found)))
+    print(f"written: {page}", file=sys.stderr)

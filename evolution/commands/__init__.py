@@ -1,1 +1,0 @@
-"""The subcommands of `caterpillar`: one module each, arguments and output alone."""

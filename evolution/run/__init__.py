@@ -1,0 +1,1 @@
+"""Runs of an optimizer: the loop, its journal on disk, and the history read from it."""

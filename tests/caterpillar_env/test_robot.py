@@ -1,0 +1,219 @@
+"""One robot as JSON: what is written is read back and crawls alike."""
+
+import errno
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.gait import GaitTimings
+from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import Physics
+from caterpillar_env.robot import FORMAT, Robot, RobotError
+from caterpillar_env.task import Failure, label
+from evolution.config import RunConfig
+from evolution.genome import Encoding
+from evolution.run.evaluators import evaluate
+
+PERIOD_S = RunConfig().gait_period_s
+SHORT = Physics(num_segments=2, mismatch_seed=3, timestep_s=0.01)
+GENOME = np.random.default_rng(2).random(12)
+
+
+@pytest.fixture
+def individual():
+    return Encoding.robot(GENOME(SHORT, PERIOD_S), fitness_m=0.0123, generation=7)
+
+
+def changed(individual, path, value):
+    """The individual's JSON with one value replaced, or left out where it is `...`."""
+    data = json.loads(json.dumps(individual.to_dict()))
+    *way, last = path
+    place = data
+    for key in way:
+        place = place[key]
+    if value is ...:
+        del place[last]
+    else:
+        place[last] = value
+    return data
+
+
+def test_file_gives_back_every_bit(individual, tmp_path):
+    individual.save(tmp_path / "robot.json")
+    again = Robot.load(tmp_path / "robot.json")
+    assert again.morphology == individual.morphology
+    assert again.physics == SHORT
+    assert (again.fitness_m, again.generation) == (0.0123, 7)
+    assert again.timings.period_s == PERIOD_S
+    assert again.timings.on_s.tolist() == individual.timings.on_s.tolist()
+    assert again.timings.off_s.tolist() == individual.timings.off_s.tolist()
+
+
+def test_full_disk_leaves_the_robot_that_was_there(individual, tmp_path, monkeypatch):
+    individual.save(tmp_path / "best.json")
+
+    def stop_midway(path, text, **_):
+        path.write_bytes(text.encode()[:99])
+        raise OSError(errno.ENOSPC, "no space left")
+
+    monkeypatch.setattr(Path, "write_text", stop_midway)
+    with pytest.raises(OSError, match="no space left"):
+        replace(individual, fitness_m=1.0).save(tmp_path / "best.json")
+    assert Robot.load(tmp_path).fitness_m == 0.0123
+
+
+def test_a_run_folder_stands_for_its_best_robot(individual, tmp_path):
+    individual.save(tmp_path / "best.json")
+    assert Robot.load(tmp_path).to_dict() == individual.to_dict()
+
+
+def test_json_names_units_and_pairs(individual):
+    data = individual.to_dict()
+    assert data["format"] == FORMAT
+    assert set(data["morphology"]) == {
+        "leg_separation_m", "segment_length_m", "segment_radius_m", "segment_mass_kg",
+        "joint_limit_rad", "attachment_x_m", "attachment_y_m", "attachment_z_m",
+    }  # fmt: skip
+    assert list(data["gait"]["pairs"]) == ["gap1_dorsal", "gap1_ventral"]
+    assert set(data["gait"]["pairs"]["gap1_dorsal"]) == {"on_s", "off_s"}
+    assert data["physics"]["num_segments"] == 2
+    assert data["physics"]["spring"]["drive_current_a"] == SHORT.spring.drive_current_a
+
+
+def test_loaded_robot_crawls_as_its_genome_did(individual, tmp_path):
+    individual.save(tmp_path / "best.json")
+    again = Robot.load(tmp_path).simulate(threads=1)
+    ours = evaluate(GENOME[None], Encoding(SHORT, PERIOD_S), threads=1)
+    assert again.distance_m[0] == ours.distance_m[0] != 0.0
+    assert again.energy_j[0] == ours.energy_j[0]
+
+
+@pytest.mark.parametrize(("kind", "size"), [("full", 16), ("per-segment", 20)])
+def test_robots_of_other_genomes_come_back_too(tmp_path, kind, size):
+    genome = np.random.default_rng(2).random(size)
+    Encoding.robot(genome(SHORT, PERIOD_S, kind)).save(tmp_path / "best.json")
+    again = Robot.load(tmp_path).simulate(threads=1)
+    ours = evaluate(genome[None], Encoding(SHORT, PERIOD_S, kind), threads=1)
+    assert again.distance_m[0] == ours.distance_m[0] != 0.0
+
+
+def test_json_names_segments_and_springs():
+    whole = (0.3).robot(np.full(16), Encoding(SHORT, PERIOD_S, "full")).to_dict()
+    assert list(whole["gait"]["springs"])[:2] == ["gap1_dorsal_left", "gap1_dorsal_right"]
+    parts = (0.3).robot(np.full(20), Encoding(SHORT, PERIOD_S, "per-segment")).to_dict()
+    assert len(parts["morphology"]) == 2
+    del parts["morphology"][1]
+    with pytest.raises(CaterpillarError, match="one morphology for all of them, or a tuple of 2; got 1"):
+        Robot.from_dict(parts)
+
+
+def test_another_timestep_is_another_simulation_of_the_same_robot(individual):
+    own = individual.simulate(threads=1, duration_s=2.0)
+    same = individual.simulate(SHORT.timestep_s, threads=1, duration_s=2.0)
+    finer = individual.simulate(SHORT.timestep_s / 2, threads=1, duration_s=2.0)
+    assert same.distance_m[0] == own.distance_m[0]
+    assert finer.distance_m[0] != own.distance_m[0]
+    assert finer.energy_j[0] == own.energy_j[0]  # heat does not depend on the motion
+    assert individual.physics.timestep_s == SHORT.timestep_s
+
+
+def test_timestep_that_does_not_fit_is_refused(individual):
+    for timestep_s in (0.003, 0.0, -0.005, np.nan):
+        with pytest.raises(CaterpillarError, match="timestep_s"):
+            individual.simulate(timestep_s)
+
+
+def test_record_is_optional(individual):
+    data = changed(individual, ["fitness_m"], ...)
+    assert Robot.from_dict(data).fitness_m is None
+
+
+@pytest.mark.parametrize("data", [None, [], "robot", 3, {}, {"format": "caterpillar-individual-0"}])
+def test_other_json_is_refused(data):
+    with pytest.raises(RobotError, match=FORMAT):
+        Robot.from_dict(data)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (["morphology"], ...),
+        (["morphology", "segment_mass_kg"], ...),
+        (["morphology", "segment_mass_kg"], 12.0),
+        (["morphology", "segment_mass_kg"], None),
+        (["morphology"], "long"),
+        (["gait"], ...),
+        (["gait"], []),
+        (["gait", "period_s"], ...),
+        (["gait", "period_s"], 0.0),
+        (["gait", "period_s"], "three"),
+        (["gait", "pairs"], None),
+        (["gait", "pairs", "gap1_dorsal"], ...),
+        (["gait", "pairs", "gap2_dorsal"], {"on_s": 0.0, "off_s": 1.0}),
+        (["gait", "pairs", "gap1_dorsal", "on_s"], ...),
+        (["gait", "pairs", "gap1_dorsal", "on_s"], -0.5),
+        (["gait", "pairs", "gap1_dorsal", "on_s"], PERIOD_S + 0.1),
+        (["gait", "pairs", "gap1_dorsal", "on_s"], None),
+        (["gait", "pairs", "gap1_dorsal", "on_s"], "soon"),
+        (["gait", "pairs", "gap1_dorsal", "on_s"], [0.5, 1.0]),
+        (["gait", "pairs", "gap1_dorsal", "on_s"], float("nan")),
+        (["physics"], ...),
+        (["physics"], [1]),
+        (["physics", "gravity"], 1.6),
+        (["physics", "num_segments"], 4),
+        (["physics", "num_segments"], 1),
+        (["physics", "num_segments"], "four"),
+        (["physics", "mismatch_seed"], 0.5),
+        (["physics", "solver_iterations"], 10.5),
+        (["physics", "spring", "turns"], -1),
+    ],
+    ids=str,
+)
+def test_garbled_individual_is_refused_with_the_files_name(individual, tmp_path, path, value):
+    file = tmp_path / "robot.json"
+    file.write_text(json.dumps(changed(individual, path, value)))
+    with pytest.raises(RobotError, match=r"robot\.json"):
+        Robot.load(file)
+
+
+def test_times_in_lists_are_refused(individual, tmp_path):
+    listed = {"on_s": [0.0], "off_s": [1.0]}
+    data = changed(individual, ["gait", "pairs"], {"gap1_dorsal": listed, "gap1_ventral": listed})
+    with pytest.raises(RobotError):
+        Robot.from_dict(data)
+
+
+def test_error_of_a_long_robot_is_one_line():
+    timings = GaitTimings(PERIOD_S, np.zeros(38), np.ones(38))
+    long = Robot(Morphology(), timings, Physics(num_segments=20))
+    data = changed(long, ["gait", "pairs", "gap1_dorsal", "on_s"], PERIOD_S + 1.0)
+    with pytest.raises(CaterpillarError) as refused:
+        Robot.from_dict(data)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe\x00", b"[1,"])
+def test_file_that_is_no_json_is_refused(tmp_path, content):
+    (tmp_path / "robot.json").write_bytes(content)
+    with pytest.raises(RobotError, match="is not JSON"):
+        Robot.load(tmp_path / "robot.json")
+
+
+def test_missing_file_and_empty_folder_are_refused(tmp_path):
+    for path, message in ((tmp_path / "none.json", "cannot read"), (tmp_path, "holds no best.json")):
+        with pytest.raises(RobotError, match=message):
+            Robot.load(path)
+
+
+def test_individual_of_genome_has_one_gait(individual):
+    assert individual.timings.on_s.shape == (2,)
+    assert isinstance(individual.timings, GaitTimings)
+
+
+def test_every_failure_has_a_label():
+    labels = ["ok", "diverged", "flipped", "tipped", "jumped", "veered", "sagged"]
+    assert [label(f) for f in Failure] == labels

@@ -1,0 +1,251 @@
+"""The command line from outside: exit status, and what is said where."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from evolution import cli
+from evolution.run.history import table
+
+MAIN = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); \
+from evolution.cli import main; sys.exit(main())"
+QUICK = ["evolve", "--preset", "quick", "--population", "4", "--hall-of-fame", "1", "--generations", "2"]
+TINY = [
+    "evolve", "--num-segments", "2", "--timestep-s", "0.01", "--population", "2",
+    "--hall-of-fame", "1", "--generations", "1", "--no-video",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A run folder as `caterpillar evolve` leaves it."""
+    folder = tmp_path_factory.mktemp("cli") / "run"
+    assert cli.main([*QUICK, "--no-video", "--out", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture
+def elsewhere(tmp_path, monkeypatch):
+    """An empty working folder, so that nothing is left beside the tests."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    (tmp_path / "broken.json").write_text('{"format": ')
+    (tmp_path / "other.json").write_text("[1, 2, 3]")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes.txt").write_text("mine")
+    return tmp_path
+
+
+def status(arguments):
+    """The exit status, whether it is returned or raised."""
+    try:
+        return cli.main(arguments)
+    except SystemExit as stop:
+        return stop.code
+
+
+def subcommand(arguments, **kwargs):
+    return subprocess.Popen(
+        [sys.executable, "-c", MAIN, *arguments],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **kwargs,
+    )  # fmt: skip
+
+
+# Errors
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["fly"],
+        ["--bogus"],
+        ["evolve", "--bogus"],
+        ["evolve", "nonsense"],
+        ["evolve", "--population", "many"],
+        ["evolve", "--population", "-5"],
+        ["evolve", "--population", "10", "--hall-of-fame", "10"],
+        ["evolve", "--population"],
+        ["evolve", "--generations", "0"],
+        ["evolve", "--seed", "-1"],
+        ["evolve", "--mutation-rate", "1.5"],
+        ["evolve", "--crossover", "three-point"],
+        ["evolve", "--preset", "enormous"],
+        ["evolve", "--prior", "hopeful"],
+        [*TINY, "--gait-period-s", "0.25"],
+        [*TINY, "--gait-period-s", "nan"],
+        [*TINY, "--gait-period-s", "inf"],
+        [*TINY, "--floor-ratio", "inf"],
+        [*TINY, "--failed-fitness", "inf"],
+        ["evolve", "--num-segments", "1"],
+        ["evolve", "--friction", "-0.1"],
+        ["evolve", "--ambient-c", "500"],
+        ["evolve", "--threads", "-1"],
+        ["evolve", "--preset", "quick", "--out", "full"],
+        ["evolve", "--preset", "quick", "--out", "file"],
+        ["evolve", "--preset", "quick", "--out", "file/run"],
+        ["preprocess", "--floor-ratio", "1"],
+        ["preprocess", "--floor-ratio", "inf"],
+        ["preprocess", "--num-segments", "2", "--gait-period-s", "0"],
+        ["preprocess", "--num-segments", "2", "--gait-period-s", "-2"],
+        ["preprocess", "--num-segments", "2", "--gait-period-s", "nan"],
+        ["preprocess", "--num-segments", "1"],
+        ["preprocess", "--num-segments", "2", "--out", "file/densities.png"],
+        ["preprocess", "--num-segments", "2", "--out", "densities.xyz"],
+        ["replay"],
+        ["replay", "nothing.json"],
+        ["replay", "nowhere/best.json"],
+        ["replay", "full"],
+        ["replay", "file/best.json"],
+        ["replay", "file"],
+        ["replay", "broken.json"],
+        ["replay", "other.json"],
+        ["replay", "broken.json", "--timestep-s", "fine"],
+    ],
+    ids=" ".join,
+)
+def test_every_error_is_one_line_and_a_status(arguments, elsewhere, capsys):
+    before = sorted(elsewhere.rglob("*"))
+    assert status(arguments) in (1, 2)
+    said = capsys.readouterr()
+    lines = said.err.splitlines()
+    assert len(lines) == 1, said.err
+    assert lines[0].startswith("caterpillar")
+    assert "Traceback" not in said.err
+    assert sorted(elsewhere.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (["fly"], "choose from doctor, evolve, export, preprocess, replay, report, resume"),
+        (["evolve", "--bogus"], "--bogus"),
+        (["evolve", "--population", "many"], "--population"),
+        (["evolve", "--population", "-5"], "population = -5 must be at least 2"),
+        (["evolve", "--out", "full"], "full is not empty; choose another with --out"),
+        (["replay", "nothing.json"], "cannot read nothing.json"),
+        (["replay", "broken.json"], "broken.json is not JSON"),
+    ],
+)
+def test_errors_name_what_was_wrong(arguments, hint, elsewhere, capsys):
+    assert status(arguments) != 0
+    assert hint in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("timestep", ["0", "-0.005", "0.003", "nan", "inf"])
+def test_replay_at_an_impossible_timestep_is_one_line(timestep, recorded, capsys):
+    capsys.readouterr()
+    assert status(["replay", str(recorded), "--no-video", "--timestep-s", timestep]) in (1, 2)
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert len(said.err.splitlines()) == 1
+    assert re.match(r"caterpillar replay: error: .*timestep", said.err)
+
+
+# Help
+
+
+@pytest.mark.parametrize("flag", ["--help", "-h", "help"])
+def test_overview_names_all_subcommands(flag, capsys):
+    assert cli.main([flag]) == 0
+    said = capsys.readouterr().out
+    for name in ("evolve", "preprocess", "replay"):
+        assert name in said
+
+
+@pytest.mark.parametrize(
+    ("command", "flags"),
+    [
+        ("evolve", ["--preset", "--population", "--generations", "--seed", "--out", "--no-video"]),
+        ("preprocess", ["--json", "--out", "--floor-ratio"]),
+        ("replay", ["--timestep-s", "--json", "--no-video"]),
+    ],
+)
+def test_help_names_the_flags_and_succeeds(command, flags, capsys):
+    assert status([command, "--help"]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    for flag in flags:
+        assert flag in said.out
+
+
+def test_version_is_a_number(capsys):
+    assert cli.main(["--version"]) == 0
+    assert re.match(r"\d+\.\d+", capsys.readouterr().out)
+
+
+# Runs
+
+
+def test_evolve_leaves_record_and_figures(recorded):
+    assert {p.name for p in recorded.iterdir()} == {
+        "journal.sqlite", ".lock", "best.json", "convergence.png", "gait.png", "report.html",
+    }  # fmt: skip
+    assert table(recorded).shape == (4 + 3, 8 + 20)
+
+
+def test_replay_of_a_record_is_identical(recorded, capsys):
+    capsys.readouterr()
+    assert cli.main(["replay", str(recorded), "--no-video", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    best = json.loads((recorded / "best.json").read_text())
+    assert said["identical"] is True
+    assert said["fitness_m"] == said["recorded_fitness_m"] == best["fitness_m"]
+    assert said["failure"] == "ok"
+    assert said["timestep_s"] == best["physics"]["timestep_s"]
+
+
+def test_replay_at_a_finer_timestep_gives_another_number(recorded, capsys):
+    capsys.readouterr()
+    arguments = ["replay", str(recorded / "best.json"), "--no-video", "--json"]
+    assert cli.main([*arguments, "--timestep-s", "0.00125"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["timestep_s"] == 0.00125
+    assert said["identical"] is False
+    assert said["fitness_m"] != said["recorded_fitness_m"]
+
+
+def test_process_ends_with_the_status_and_one_line(tmp_path):
+    process = subcommand(["replay", "nothing.json"], cwd=tmp_path)
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 1
+    assert out == ""
+    assert err == (
+        "caterpillar replay: error: cannot read nothing.json: No such file or directory; give a run "
+        "folder or the JSON file of one robot (a trained policy crawls by caterpillar rl eval)\n"
+    )
+
+
+def test_interrupted_run_keeps_its_generations_and_says_so(tmp_path):
+    arguments = [*TINY, "--generations", "50", "--population", "4", "--out", "run"]
+    process = subcommand(arguments, cwd=tmp_path)
+    first = process.stderr.readline()
+    os.kill(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=120)
+    assert first.startswith("generation   0")
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert "stopped" in err
+    assert "go on with: caterpillar resume run" in err
+    generation = table(tmp_path / "run")["generation"].to_list()
+    later = len(generation) - 4  # after the first, three robots each
+    assert later % 3 == 0
+    assert generation == [0] * 4 + [1 + i // 3 for i in range(later)]
+
+
+def test_machine_without_drawing_loses_only_the_video(tmp_path):
+    process = subcommand(
+        [*TINY, "--seed", "4", "--video", "--out", "run"],
+        cwd=tmp_path, env={**os.environ, "MUJOCO_GL": "disabled"},
+    )  # fmt: skip
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert "best:" in out
+    assert "no video:" in err
+    assert not list((tmp_path / "run").glob("*.mp4"))
+    assert (tmp_path / "run" / "gait.png").exists()

@@ -1,0 +1,71 @@
+import json
+
+import numpy as np
+import pytest
+
+from caterpillar_env.robot import Outcomes
+from caterpillar_env.validation import convergence, gaits, golden
+from caterpillar_env.validation.check import at_most, same
+from evolution import cli
+from evolution.cli import validate
+
+PLOTS = ("sma.png", "timestep.png")
+
+
+@pytest.mark.slow
+def test_quick_validation_passes_and_leaves_its_plots(tmp_path, capsys):
+    status = cli.main(["validate", "--quick", "--json", "--out", str(tmp_path / "v")])
+    data = json.loads(capsys.readouterr().out)
+    failed = [check for found in data.values() for check in found if not check["passed"]]
+    assert not failed
+    assert status == 0
+    assert len(data) == 11
+    assert sum(map(len, data.values())) > 50
+    for name in PLOTS:
+        assert (tmp_path / "v" / name).stat().st_size > 10_000
+    assert json.loads((tmp_path / "v" / "validation.json").read_text("utf-8")) == data
+
+
+def canned(monkeypatch, *, weight_n, golden_passes):
+    """Leave out the simulations, keep everything around them."""
+    nothing = np.zeros(4)
+    outcomes = Outcomes(nothing.astype(np.int8), np.array([0.1, 0.2, 0.3, 0.4]), nothing, nothing)
+    result = convergence.Comparison(
+        outcomes, outcomes, np.array([False, False, True, True]), np.zeros(2),
+        outcomes._replace(failure=outcomes.failure[2:], distance_m=outcomes.distance_m[2:]),
+    )  # fmt: skip
+    monkeypatch.setattr(convergence, "compare", lambda *, quick: result)
+    groups = {
+        "mechanics": lambda: [at_most("weight", 1.0, weight_n, "N")],
+        "golden trajectories": lambda: [same("path", True, golden_passes)],
+    }
+    gait = gaits.Gait(0.1, 0.2, 0.1, 0.5, 0.0, 0.0, 1000.0, 0.03)
+    monkeypatch.setattr(gaits, "measured", lambda robots, *, quick: [gait])
+    monkeypatch.setattr(validate, "groups", lambda *, quick: groups)
+
+
+def test_a_failed_check_is_shown_and_sets_the_exit_status(tmp_path, capsys, monkeypatch):
+    canned(monkeypatch, weight_n=2.0, golden_passes=True)
+    assert cli.main(["validate", "--quick", "--out", str(tmp_path)]) == 1
+    out, err = capsys.readouterr()
+    assert "FAIL" in out
+    assert "9 of 10 checks passed" in " ".join(err.split())
+    assert golden.ADVICE[:30] not in " ".join(err.split())
+
+
+def test_changed_golden_trajectories_come_with_advice(tmp_path, capsys, monkeypatch):
+    canned(monkeypatch, weight_n=0.5, golden_passes=False)
+    assert cli.main(["validate", "--quick", "--out", str(tmp_path)]) == 1
+    assert golden.ADVICE in " ".join(capsys.readouterr().err.split())
+
+
+def test_all_passing_is_status_0(tmp_path, capsys, monkeypatch):
+    canned(monkeypatch, weight_n=0.5, golden_passes=True)
+    assert cli.main(["validate", "--quick", "--out", str(tmp_path)]) == 0
+    assert "FAIL" not in capsys.readouterr().out
+
+
+def test_a_file_in_the_way_of_the_folder_is_told(tmp_path, capsys):
+    (tmp_path / "v").write_text("")
+    assert cli.main(["validate", "--quick", "--out", str(tmp_path / "v")]) != 0
+    assert "choose another place with --out" in " ".join(capsys.readouterr().err.split())

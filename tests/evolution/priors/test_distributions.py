@@ -1,0 +1,114 @@
+"""Distributions that genes are drawn from."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+from scipy.integrate import quad
+
+from evolution.priors.distributions import TruncatedGaussian, Uniform
+
+PEAKS = [0.0, 1 / 9, 0.5, 7 / 9, 1.0]
+SHAPES = [TruncatedGaussian.with_floor(mu) for mu in PEAKS] + [
+    TruncatedGaussian(0.3, 0.05),
+    TruncatedGaussian(1.0, 5.0),
+]
+
+
+def reference(gaussian):
+    low, high = -gaussian.mu / gaussian.sigma, (1 - gaussian.mu) / gaussian.sigma
+    return stats.truncnorm(low, high, loc=gaussian.mu, scale=gaussian.sigma)
+
+
+@pytest.mark.parametrize(
+    ("mu", "distance"), [(0.0, 1.0), (1.0, 1.0), (0.5, 0.5), (0.25, 0.75), (0.75, 0.75)]
+)
+def test_sigma_is_the_farther_bounds_distance_over_root_of_two_ln_three(mu, distance):
+    # 1 / sqrt(2 ln 3) = 1 / 1.4823038 = 0.6746255
+    assert TruncatedGaussian.with_floor(mu).sigma == pytest.approx(0.6746255 * distance, rel=1e-6)
+
+
+@pytest.mark.parametrize("mu", PEAKS)
+@pytest.mark.parametrize("ratio", [3.0, 10.0, 100.0])
+def test_least_density_is_exactly_the_asked_share_of_the_greatest(mu, ratio):
+    gaussian = TruncatedGaussian.with_floor(mu, ratio)
+    density = gaussian.density(np.append(np.linspace(0, 1, 10_001), mu))
+    assert density.min() / density.max() == pytest.approx(1 / ratio, rel=1e-12)
+    assert density[-1] == density.max()
+
+
+@pytest.mark.parametrize("distribution", [Uniform(), *SHAPES], ids=str)
+def test_density_integrates_to_one(distribution):
+    total, _ = quad(lambda x: float(distribution.density(np.float64(x))), 0, 1, points=[0.3])
+    assert total == pytest.approx(1.0, abs=1e-8)
+
+
+@pytest.mark.parametrize("distribution", [Uniform(), *SHAPES], ids=str)
+def test_density_outside_the_range_is_zero(distribution):
+    outside = np.array([-1.0, -1e-9, 1 + 1e-9, 2.0])
+    assert distribution.density(outside).tolist() == [0.0] * 4
+
+
+@pytest.mark.parametrize("gaussian", SHAPES, ids=str)
+def test_density_equals_the_truncated_normals(gaussian):
+    x = np.linspace(0, 1, 101)
+    np.testing.assert_allclose(gaussian.density(x), reference(gaussian).pdf(x), rtol=1e-9)
+
+
+@pytest.mark.parametrize("gaussian", SHAPES, ids=str)
+def test_samples_follow_the_distribution_function(gaussian):
+    drawn = gaussian.sample(np.random.default_rng(7), 20_000)
+    assert stats.kstest(drawn, reference(gaussian).cdf).pvalue > 0.01
+
+
+def test_uniform_samples_follow_the_uniform_distribution():
+    drawn = Uniform().sample(np.random.default_rng(7), 20_000)
+    assert stats.kstest(drawn, "uniform").pvalue > 0.01
+
+
+def test_no_mass_piles_up_on_the_bounds():
+    # Clamping instead of cutting off would put half of the draws on the bound itself.
+    drawn = TruncatedGaussian.with_floor(1.0).sample(np.random.default_rng(0), 10_000)
+    assert not np.any((drawn == 0.0) | (drawn == 1.0))
+
+
+@settings(deadline=None)
+@given(
+    mu=st.floats(0.0, 1.0),
+    sigma=st.floats(1e-3, 1e3),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_samples_lie_in_the_unit_interval(mu, sigma, seed):
+    drawn = TruncatedGaussian(mu, sigma).sample(np.random.default_rng(seed), 50)
+    assert drawn.shape == (50,)
+    assert np.all((drawn >= 0) & (drawn <= 1))
+
+
+@pytest.mark.parametrize("distribution", [Uniform(), *SHAPES[:3]], ids=str)
+def test_same_generator_state_gives_the_same_draws(distribution):
+    one = distribution.sample(np.random.default_rng(3), 10)
+    two = distribution.sample(np.random.default_rng(3), 10)
+    other = distribution.sample(np.random.default_rng(4), 10)
+    assert one.tolist() == two.tolist() != other.tolist()
+
+
+@pytest.mark.parametrize("distribution", [Uniform(), *SHAPES], ids=str)
+def test_a_draw_takes_one_uniform_number(distribution):
+    # So that arms of a study that differ in one gene's distribution draw all others alike.
+    used, counted = np.random.default_rng(5), np.random.default_rng(5)
+    distribution.sample(used, 17)
+    counted.random(17)
+    assert used.random() == counted.random()
+
+
+@pytest.mark.parametrize("gaussian", SHAPES, ids=str)
+def test_a_draw_is_the_quantile_of_its_uniform_number(gaussian):
+    quantiles = np.random.default_rng(11).random(100)
+    drawn = gaussian.sample(np.random.default_rng(11), 100)
+    np.testing.assert_allclose(drawn, reference(gaussian).ppf(quantiles), rtol=1e-9, atol=1e-12)
+
+
+def test_wide_gaussian_nears_the_uniform():
+    density = TruncatedGaussian(0.2, 1e3).density(np.linspace(0, 1, 11))
+    np.testing.assert_allclose(density, 1.0, rtol=1e-6)

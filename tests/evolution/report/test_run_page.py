@@ -1,0 +1,356 @@
+"""A run's page tells what its folder holds, whatever became of the run, and needs nothing else."""
+
+import base64
+import re
+import shutil
+from dataclasses import replace
+from html import unescape
+
+import numpy as np
+import polars
+import pytest
+
+from caterpillar_env.drawing.video import Recording, VideoConfig, write_video
+from caterpillar_env.physics import Physics
+from caterpillar_env.robot import Outcomes, Robot
+from evolution import cli
+from evolution.config import RunConfig
+from evolution.optimizers.cma_es import CmaConfig
+from evolution.optimizers.ga import GaConfig
+from evolution.report import run_page
+from evolution.run.evaluators import LocalEvaluator
+from evolution.run.history import table
+from evolution.run.journal import FILE, Journal
+from evolution.run.loop import evolve
+
+CONFIG = RunConfig(
+    seed=4, generations=2, physics=Physics(num_segments=2, timestep_s=0.01, friction=0.7),
+    ga=GaConfig(population=3, hall_of_fame=1),
+)  # fmt: skip
+SHORT = replace(CONFIG, generations=1)
+BREAKS = replace(
+    CONFIG.physics, integrator="implicitfast", axial_stiffness_n_m=1e9, axial_damping_n_s_m=0.0
+)
+COLOURS = """() => {
+    const style = (selector) => getComputedStyle(document.querySelector(selector));
+    return {
+        paper: style("body").backgroundColor,
+        text: style("figure svg text").fill,
+        axis: style('figure svg [style*="stroke: #000000"]').stroke,
+    };
+}"""
+
+
+class Fixed:
+    """An optimizer of the user's own, which asks for the same genomes again and again."""
+
+    def ask(self):
+        return np.random.default_rng(4).random((3, 12))
+
+    def tell(self, genomes, fitness):
+        pass
+
+
+def ran(folder, config=SHORT, **kwargs):
+    evolve(config, folder, evaluator=LocalEvaluator(1), **kwargs)
+    return told(folder)
+
+
+def told(folder):
+    """The page without its figures, which take the time."""
+    return run_page.page(run_page.Record.read(folder), {})
+
+
+def number(page, name):
+    """What a figure on the page is exactly."""
+    (value,) = re.findall(rf'<data id="{name}" value="([^"]*)">', page)
+    return float(value)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A run with a page and something for a video."""
+    folder = tmp_path_factory.mktemp("report") / "a <run> & more"
+    evolve(CONFIG, folder, evaluator=LocalEvaluator(1))
+    run_page.write(folder)
+    return folder
+
+
+@pytest.fixture
+def page(folder):
+    return (folder / run_page.PAGE).read_text("utf-8")
+
+
+def test_figures_are_those_of_best_json_and_the_journal(folder, page):
+    best, rows = Robot.load(folder), table(folder)
+    row = rows.row(int(number(page, "best-evaluation")), named=True)
+    assert number(page, "best-m") == best.fitness_m == row["distance_m"]
+    assert best.fitness_m == rows.filter(polars.col("failure") == "ok")["distance_m"].max()
+    assert number(page, "best-generation") == best.generation == row["generation"]
+    assert number(page, "best-energy-j") == row["energy_j"]
+    assert number(page, "evaluations") == len(rows) == 5
+    assert number(page, "failed") == (rows["failure"] != "ok").sum()
+    assert number(page, "simulated-s") == pytest.approx(rows["simulated_s"].sum(), rel=1e-12)
+
+
+def test_genes_are_those_of_the_best_robot_between_its_bounds(folder, page):
+    record = run_page.Record.read(folder)
+    rows = run_page.gene_rows(record)
+    said = table(folder).row(record.winner.number, named=True)
+    for row, gene in zip(rows, CONFIG.encoding.genes, strict=True):
+        factor = {"m": 1e3, "kg": 1e3, "rad": 180 / np.pi, "s": 1.0}[gene.unit]
+        assert row.value == pytest.approx(factor * said[gene.name], rel=1e-12)
+        assert row.lower <= row.value <= row.upper
+        assert row.place == pytest.approx((row.value - row.lower) / (row.upper - row.lower))
+        assert f"<td>{row.title}<td>{row.value:.3g} {row.unit}" in page
+    by_title = {row.title: row for row in rows}
+    separation = by_title["leg separation"]
+    assert (separation.peak, separation.upper, separation.unit) == (24.0, 24.0, "mm")
+    assert separation.width == pytest.approx(16 / np.sqrt(2 * np.log(3)))
+    assert separation.band == (pytest.approx(1 - separation.width / 16), 1.0)
+    assert by_title["segment mass"].peak is None
+    assert by_title["joint limit"].unit == "°"
+
+
+def test_page_is_the_same_each_time(folder, page):
+    figures = [(folder / name).read_bytes() for name in ("convergence.png", "gait.png")]
+    assert run_page.write(folder).read_text("utf-8") == page
+    assert [(folder / name).read_bytes() for name in ("convergence.png", "gait.png")] == figures
+
+
+def test_page_asks_for_nothing(page):
+    assert not re.findall(r'(?:src|href)="(?!data:|#)[^"]*"', page)
+    assert "@import" not in page
+    assert "url(" not in page.replace("url(#", "")
+
+
+def test_names_are_text_and_commands_can_be_pasted(page):
+    assert "<title>a &lt;run&gt; &amp; more: " in page
+    assert "<run>" not in page
+    assert "caterpillar replay 'a <run> & more' " in unescape(page)
+
+
+def test_what_was_asked_is_told_where_it_is_not_the_default(folder):
+    with Journal(folder, read_only=True) as journal:
+        said = {
+            name: (value, default) for name, value, default in run_page.changed(journal.configuration)
+        }
+    assert said == {
+        "seed": ("4", "0"), "generations": ("2", "50"), "ga.population": ("3", "200"),
+        "ga.hall_of_fame": ("1", "10"), "physics.num_segments": ("2", "4"),
+        "physics.timestep_s": ("0.01", "0.0025"), "physics.friction": ("0.7", "0.8"),
+    }  # fmt: skip
+
+
+def test_versions_and_machine_of_the_sessions_are_told(folder, page):
+    with Journal(folder, read_only=True) as journal:
+        (session,) = journal.sessions
+    for name, value in session.fingerprint.items():
+        assert f"{name} {value}" in page
+    assert f"{session.wall_s:.0f} s" in page
+
+
+def test_video_is_in_the_page_if_it_is_of_the_best_robot(folder):
+    film, digest = folder / "best.mp4", Robot.load(folder).digest
+    assert "best.mp4 was not made" in told(folder)
+    try:
+        film.write_bytes(b"a film of somebody else")
+        assert "of another robot" in told(folder)
+        film.write_bytes(b"a film of " + digest.encode())
+        (data,) = re.findall(
+            r'<video controls[^>]* src="data:video/mp4;base64,([^"]+)"',
+            told(folder),
+        )
+        assert base64.b64decode(data) == film.read_bytes()
+        film.write_bytes(digest.encode() + bytes(run_page.LARGEST_VIDEO_BYTES))
+        page = told(folder)
+        assert "<video" not in page.partition("<body>")[2]
+        assert "too large to be in it (16 MiB)" in page
+    finally:
+        film.unlink()
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        (replace(SHORT, optimizer="cma-es", cma=CmaConfig(cma_population=4)), "CMA-ES takes it"),
+        (replace(SHORT, optimizer="random", prior="uniform"), "random search on uniform"),
+        (replace(SHORT, genome="full"), "gap1 dorsal left on"),
+        (replace(CONFIG, genome="per-segment"), "segment2 leg separation"),
+        (replace(SHORT, prior="mutation-only"), "the first generation is uniform"),
+        (replace(SHORT, objective="distance-per-energy"), "The objective was distance-per-energy"),
+        (replace(CONFIG, generations=9, budget_s=100.0), "a budget of 100 simulated seconds"),
+    ],
+    ids=["cma-es", "random", "full", "per-segment", "mutation-only", "energy", "budget"],
+)
+def test_runs_of_every_kind_have_a_page(config, said, tmp_path):
+    page = ran(tmp_path / "run", config)
+    assert said in page
+    assert number(page, "best-m") == Robot.load(tmp_path / "run").fitness_m
+    assert page.count('<svg class="bar"') == len(config.encoding.genes)
+
+
+@pytest.mark.parametrize(
+    ("prior", "peaks"), [("uniform", 0), ("preprocessed", 6), ("init-only", 6), ("mutation-only", 6)]
+)
+def test_priors_are_told_wherever_they_are_used_and_uniform_ones_as_uniform(folder, prior, peaks):
+    record = run_page.Record.read(folder)
+    rows = run_page.gene_rows(replace(record, config=replace(CONFIG, prior=prior)))
+    assert sum(row.peak is not None for row in rows) == peaks
+    assert all(row.band == (0.0, 1.0) for row in rows if row.peak is None)
+
+
+def test_run_of_an_optimizer_of_ones_own_is_named_after_it(tmp_path):
+    page = ran(tmp_path / "run", optimizer=Fixed())
+    assert "an optimizer of its own, Fixed, " in page
+    assert "caterpillar resume" not in page
+    assert "need not draw from it" in page
+
+
+def test_run_in_which_all_failed_says_why(tmp_path):
+    page = ran(tmp_path / "run", replace(SHORT, physics=BREAKS))
+    assert "no robot crawled forwards without failing" in page
+    assert "<tr><td>diverged<td>3<td>100.0 %</tr>" in page
+    assert "There is no robot to film." in page
+    assert "caterpillar replay" not in page
+
+
+def interrupted_by(count):
+    """Something to be told of generations that stops the run at one."""
+
+    def told(generation):
+        if generation.number + 1 == count:
+            raise KeyboardInterrupt
+
+    return told
+
+
+def test_run_that_was_stopped_says_how_it_goes_on(tmp_path):
+    page = ran(tmp_path / "run", CONFIG, on_generation=interrupted_by(1))
+    assert "Not finished: " in page
+    assert "caterpillar resume run " in page
+    assert "<small>1 generations</small>" not in page
+    assert "<small>1 generation</small>" in page
+    assert "when it stopped is not recorded" in page
+    assert number(page, "evaluations") == 3
+    assert number(page, "best-m") == Robot.load(tmp_path / "run").fitness_m
+
+
+def test_generation_that_is_not_through_is_in_no_figure(tmp_path):
+    """50 more evaluations, which is a chunk, and a better robot among them than best.json's."""
+    evolve(CONFIG, tmp_path, evaluator=LocalEvaluator(1), on_generation=interrupted_by(2))
+    with Journal(tmp_path) as journal:
+        first = next(journal.evaluations())
+        outcomes = Outcomes(np.zeros(50, np.int8), np.ones(50), np.ones(50), np.full(50, 30.0))
+        journal.append(5, 2, np.tile(first.genome, (50, 1)), outcomes, 1)
+    record = run_page.Record.read(tmp_path)
+    assert [g.number for g in record.generations()] == [0, 1]
+    assert record.generations()[-1].best_m == record.best.fitness_m
+    page = told(tmp_path)
+    assert "50 evaluations are of a generation that is not through" in page
+    assert number(page, "best-m") == record.best.fitness_m < 1.0
+    assert number(page, "evaluations") == 55
+
+
+def test_run_that_has_only_begun_has_a_page(tmp_path):
+    with Journal.create(tmp_path, {**CONFIG.to_dict(), "own_optimizer": None}) as journal:
+        journal.begin()
+    page = told(tmp_path)
+    assert "no generation is through yet" in page
+    assert number(page, "evaluations") == 0
+
+
+def test_robot_that_is_not_in_the_journal_is_told(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "run")
+    best = Robot.load(tmp_path / "run")
+    replace(best, fitness_m=0.5).save(tmp_path / "run" / "best.json")
+    page = told(tmp_path / "run")
+    assert "is in no evaluation of the journal" in page
+    assert 'id="best-energy-j"' not in page
+
+
+# caterpillar report
+
+
+def test_report_makes_the_page_of_a_run_anew(folder, tmp_path, capsys):
+    shutil.copytree(folder, tmp_path / "run")
+    made = [tmp_path / "run" / name for name in ("report.html", "gait.png", "convergence.png")]
+    for path in made:
+        path.unlink()
+    assert cli.main(["report", str(tmp_path / "run"), "--no-video"]) == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("best: ")
+    assert said.err == f"written: {tmp_path / 'run' / 'report.html'}\n"
+    assert {"report.html", "gait.png", "convergence.png"} <= {
+        p.name for p in (tmp_path / "run").iterdir()
+    }
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (
+            lambda run: (run / FILE).unlink(),
+            "holds neither a run (journal.sqlite) nor a study (study.json)",
+        ),
+        (lambda run: (run / FILE).write_bytes(b"no database"), "is damaged"),
+        (lambda run: (run / "best.json").write_text("{"), "best.json is not JSON"),
+        (lambda run: (run / "report.html").mkdir(), "cannot write into"),
+    ],
+    ids=["no journal", "damaged journal", "damaged robot", "unwritable"],
+)
+def test_folders_without_a_report_are_answered_in_one_line(folder, tmp_path, capsys, spoil, message):
+    shutil.copytree(folder, tmp_path / "run")
+    (tmp_path / "run" / "report.html").unlink()
+    spoil(tmp_path / "run")
+    assert cli.main(["report", str(tmp_path / "run"), "--no-video"]) == 1
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+
+
+# In a browser
+
+
+@pytest.fixture(scope="module")
+def filmed(folder, tmp_path_factory):
+    """A run's page with a film of half a second in it."""
+    copy = tmp_path_factory.mktemp("filmed") / "run"
+    shutil.copytree(folder, copy)
+    recording = Recording(Robot.load(copy))
+    write_video([recording], copy / "best.mp4", VideoConfig(60.0, 160, 120))
+    film = (copy / "best.mp4").read_bytes()
+    assert cli.main(["report", str(copy)]) == 0
+    assert (copy / "best.mp4").read_bytes() == film  # it is of this robot: none is made anew
+    return copy / run_page.PAGE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width_px", [1100, 400])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_browser_shows_the_page_without_errors_or_requests(browser, filmed, width_px, scheme):
+    address, complaints, asked = filmed.as_uri(), [], []
+    window = browser.new_page(viewport={"width": width_px, "height": 800}, color_scheme=scheme)
+    window.on("console", lambda message: complaints.append(message.text))
+    window.on("pageerror", lambda error: complaints.append(str(error)))
+    window.on("request", lambda request: asked.append(request.url))
+    window.goto(address)
+    wide = window.evaluate("document.documentElement.scrollWidth")
+    film_s = window.evaluate("document.querySelector('video').duration")
+    colours = window.evaluate(COLOURS)
+    window.emulate_media(media="print")
+    printed = window.evaluate(COLOURS)
+    pages = window.pdf(format="A4").count(b"/Type /Page\n")
+    window.close()
+    assert complaints == []
+    assert [url for url in asked if not url.startswith("data:")] == [address]
+    assert wide <= width_px  # only tables scroll sideways
+    assert film_s == pytest.approx(
+        1.52, abs=0.1
+    )  # half a second, and one in which the last picture stays
+    dark = {"paper": "rgb(20, 20, 20)", "text": "rgb(232, 232, 232)", "axis": "rgb(232, 232, 232)"}
+    light = {"paper": "rgb(255, 255, 255)", "text": "rgb(27, 27, 27)", "axis": "rgb(27, 27, 27)"}
+    assert colours == (dark if scheme == "dark" else light)
+    assert printed["paper"] == "rgb(255, 255, 255)"
+    assert printed["text"] == printed["axis"] == "rgb(0, 0, 0)"
+    assert 2 <= pages <= 6

@@ -1,0 +1,141 @@
+"""Runs that are killed, again and again, end as if nothing had happened."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import polars
+import pytest
+
+from caterpillar_env.robot import Robot
+from evolution.report.run_page import Record
+from evolution.run.history import table
+
+RUN = """
+import sys
+from pathlib import Path
+import evolution.run.loop as run
+from caterpillar_env.physics import Physics
+from evolution.run.evaluators import LocalEvaluator
+from evolution.optimizers.cma_es import CmaConfig
+from evolution.optimizers.ga import GaConfig
+
+folder, optimizer = Path(sys.argv[1]), sys.argv[2]
+target_m = float(sys.argv[3]) if sys.argv[3:] else None
+run.CHUNK = 4
+config = run.RunConfig(
+    seed=7, generations=14, optimizer=optimizer, physics=Physics(num_segments=2, timestep_s=0.01),
+    ga=GaConfig(population=14, hall_of_fame=2), cma=CmaConfig(cma_population=12),
+    target_m=target_m,
+)
+
+class Logged(LocalEvaluator):
+    def map(self, task, chunks, on_progress=None):
+        for chunk in chunks:
+            with (folder.parent / f"{folder.name}.log").open("a") as log:
+                print(len(chunk), file=log)
+            yield from super().map(task, [chunk], on_progress)
+
+begun = (folder / "journal.sqlite").exists()
+if begun:
+    run.resume(folder, evaluator=Logged(1))
+else:
+    run.evolve(config, folder, evaluator=Logged(1))
+"""
+
+
+def process(folder, optimizer, *target_m):
+    return subprocess.Popen([sys.executable, "-c", RUN, str(folder), optimizer, *map(str, target_m)])
+
+
+def evaluated(folder):
+    """How many genomes were begun to be evaluated, over all processes."""
+    log = folder.with_name(f"{folder.name}.log")
+    return sum(int(line) for line in log.read_text().split()) if log.exists() else 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("optimizer", "kills"), [("ga", 13), ("cma-es", 12)])
+def test_killed_at_random_points_equals_uninterrupted(tmp_path, optimizer, kills):
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    assert process(whole, optimizer).wait() == 0
+    rng = np.random.default_rng(0)
+    for _ in range(kills):
+        before = evaluated(broken)
+        worker = process(broken, optimizer)
+        # After one to three chunks more have been begun, and then at any moment of the last.
+        begun = before + 4 * int(rng.integers(1, 4))
+        while evaluated(broken) < begun and worker.poll() is None:
+            time.sleep(0.005)
+        time.sleep(float(rng.uniform(0.0, 0.15)))
+        assert worker.poll() is None, "the run was over before the last kill"
+        os.kill(worker.pid, signal.SIGKILL)
+        worker.wait()
+    assert process(broken, optimizer).wait() == 0
+
+    assert table(broken).drop("session").equals(table(whole).drop("session"))
+    assert Robot.load(broken).to_dict() == Robot.load(whole).to_dict()
+    assert table(broken)["session"].n_unique() > 3
+    # Nothing is evaluated twice but the chunk of four that was in flight at each kill.
+    assert evaluated(broken) <= evaluated(whole) + 4 * kills
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("optimizer", ["ga", "cma-es"])
+def test_killed_on_the_way_to_its_target_ends_there_and_stays(tmp_path, optimizer):
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    assert process(whole, optimizer).wait() == 0
+    told = Record.read(whole).generations()
+    target_m = told[8].farthest_m
+    number = next(g.number for g in told if g.farthest_m >= target_m)
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        worker = process(broken, optimizer, target_m)
+        begun = evaluated(broken) + 4 * int(rng.integers(1, 4))
+        while evaluated(broken) < begun and worker.poll() is None:
+            time.sleep(0.005)
+        time.sleep(float(rng.uniform(0.0, 0.15)))
+        worker.kill()  # or it is at its target already
+        assert worker.wait() in (0, -signal.SIGKILL)
+    assert process(broken, optimizer, target_m).wait() == 0
+    assert table(broken)["session"].n_unique() > 1
+    expected = table(whole).filter(polars.col("generation") <= number)
+    assert table(broken).drop("session").equals(expected.drop("session"))
+    assert Record.read(broken).finished
+    before = evaluated(broken)
+    assert process(broken, optimizer, target_m).wait() == 0
+    assert evaluated(broken) == before
+
+
+#: A shell's background jobs are deaf to Ctrl-C, and so would be what this test starts.
+MAIN = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from evolution.cli import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_a_run_on_ray_within_seconds_and_says_how_to_go_on(tmp_path):
+    pytest.importorskip("ray")
+    folder = tmp_path / "run"
+    command = [
+        sys.executable, "-c", MAIN, "evolve", "--out", str(folder), "--no-video",
+        "--evaluator", "ray",
+    ]  # fmt: skip
+    # A session of its own, as in a terminal: the signal goes to whatever the run has started, too.
+    worker = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    while not (folder / "journal.sqlite").exists():
+        time.sleep(0.05)
+    time.sleep(5.0)
+    started = time.monotonic()
+    os.killpg(worker.pid, signal.SIGINT)
+    told = worker.communicate(timeout=60)[1]
+    assert worker.returncode == 130
+    assert time.monotonic() - started < 15  # one, when the machine has nothing else to do
+    assert f"stopped; go on with: caterpillar resume {folder}" in told
+    assert "Traceback" not in told

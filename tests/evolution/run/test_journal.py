@@ -1,0 +1,266 @@
+"""The journal: what is written is there, whatever happens to the process, the disk or the file."""
+
+import json
+import os
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from caterpillar_env.robot import Outcomes
+from caterpillar_env.task import Failure
+from evolution.run.database import JournalDamagedError, JournalError, is_in_use
+from evolution.run.journal import FILE, Journal
+
+CONFIGURATION = {"seed": 3, "generations": 2}
+
+
+def outcomes(count, seed=0):
+    rng = np.random.default_rng(seed)
+    codes = rng.integers(0, len(Failure), count).astype(np.int8)
+    return Outcomes(codes, *rng.normal(size=(3, count)))
+
+
+def written(folder, parts=(3, 2)):
+    """A journal with some evaluations, its genomes and what became of them."""
+    genomes = np.random.default_rng(1).random((sum(parts), 4))
+    results = outcomes(sum(parts))
+    with Journal.create(folder, CONFIGURATION) as journal:
+        session, first = journal.begin(), 0
+        for generation, size in enumerate(parts):
+            rows = slice(first, first + size)
+            part = Outcomes(*(column[rows] for column in results))
+            journal.append(first, generation, genomes[rows], part, session)
+            first += size
+    return genomes, results
+
+
+def test_every_bit_comes_back(tmp_path):
+    genomes, results = written(tmp_path)
+    with Journal(tmp_path) as journal:
+        rows = list(journal.evaluations())
+        assert journal.configuration == CONFIGURATION
+        assert [s.fingerprint["machine"] for s in journal.sessions] == [os.uname().machine]
+    assert [e.number for e in rows] == [0, 1, 2, 3, 4]
+    assert [e.generation for e in rows] == [0, 0, 0, 1, 1]
+    assert np.array_equal([e.genome for e in rows], genomes)
+    assert [e.failure for e in rows] == results.failure.tolist()
+    for name in ("distance_m", "energy_j", "simulated_s"):
+        assert [getattr(e, name) for e in rows] == getattr(results, name).tolist()
+
+
+def test_any_sqlite_tool_can_read_it(tmp_path):
+    genomes, _ = written(tmp_path)
+    db = sqlite3.connect(tmp_path / FILE)
+    rows = db.execute("SELECT genome, failure FROM evaluations WHERE generation = 1").fetchall()
+    assert np.array_equal([np.frombuffer(g, "<f8") for g, _ in rows], genomes[3:])
+    assert {status for _, status in rows} <= {f.label for f in Failure}
+    assert json.loads(db.execute("SELECT configuration FROM run").fetchone()[0]) == CONFIGURATION
+    db.close()
+
+
+def test_a_second_process_is_refused(tmp_path, monkeypatch):
+    written(tmp_path)
+    monkeypatch.setattr("evolution.run.database.time.sleep", lambda _: None)  # between attempts
+    with Journal(tmp_path) as journal:
+        for work in (Journal, Journal.repair):
+            with pytest.raises(JournalError, match="another process is working on"):
+                work(tmp_path)
+        assert len(list(journal.evaluations())) == 5
+    assert not list(tmp_path.glob("*.damaged*"))  # nor was it taken away from the first
+    Journal(tmp_path).close()
+
+
+def test_a_newer_schema_is_refused(tmp_path):
+    written(tmp_path)
+    db = sqlite3.connect(tmp_path / FILE)
+    db.execute("PRAGMA user_version = 99")
+    db.close()
+    with pytest.raises(JournalError, match="written by a newer version of this package"):
+        Journal(tmp_path)
+
+
+def test_what_is_no_journal_is_refused(tmp_path):
+    with pytest.raises(JournalError, match="it is no run folder"):
+        Journal(tmp_path)
+    db = sqlite3.connect(tmp_path / FILE)
+    db.execute("CREATE TABLE recipes (name TEXT)")
+    db.close()
+    with pytest.raises(JournalError, match="SQLite file of something else"):
+        Journal(tmp_path)
+    with pytest.raises(JournalError, match="exists already"):
+        Journal.create(tmp_path, CONFIGURATION)
+
+
+def test_truncated_file_is_told_and_what_is_whole_is_kept(tmp_path):
+    genomes, _ = written(tmp_path, parts=(400, 400))
+    path = tmp_path / FILE
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size * 2 // 3)
+    with pytest.raises(JournalDamagedError, match=r"is damaged: .* --repair"):
+        Journal(tmp_path)
+    kept = Journal.repair(tmp_path)
+    assert 100 < kept < 800
+    with Journal(tmp_path) as journal:
+        rows = list(journal.evaluations())
+        assert journal.configuration == CONFIGURATION
+        assert len(journal.sessions) == 1
+    assert np.array_equal([e.genome for e in rows], genomes[:kept])
+    assert (tmp_path / f"{FILE}.damaged").exists()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_flipped_bits_are_never_taken_for_data(tmp_path, seed):
+    genomes, results = written(tmp_path, parts=(200,))
+    path = tmp_path / FILE
+    content = bytearray(path.read_bytes())
+    rng = np.random.default_rng(seed)
+    # Within a genome of the table or what became of it, so that the structure of the file stays whole.
+    victim = int(rng.integers(0, 200))
+    size = 4 * 8 + len(Failure(results.failure[victim]).label) + 3 * 8
+    place = content.index(genomes[victim].tobytes()) + int(rng.integers(0, size))
+    content[place] ^= 1 << int(rng.integers(0, 8))
+    path.write_bytes(content)
+    with pytest.raises(JournalDamagedError, match=rf"evaluation {victim} (is not as|cannot be)"):
+        Journal(tmp_path)
+    assert Journal.repair(tmp_path) == victim
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_damage_anywhere_is_told_or_harmless(tmp_path, seed):
+    genomes, _ = written(tmp_path, parts=(200,))
+    path = tmp_path / FILE
+    content = bytearray(path.read_bytes())
+    place = int(np.random.default_rng(seed).integers(0, len(content)))
+    content[place] ^= 0xFF
+    path.write_bytes(content)
+    try:
+        with Journal(tmp_path) as journal:
+            rows = list(journal.evaluations())
+    except JournalError:
+        return
+    assert np.array_equal([e.genome for e in rows], genomes)
+
+
+def test_nothing_can_be_kept_of_a_file_without_its_beginning(tmp_path):
+    written(tmp_path)
+    (tmp_path / FILE).write_bytes(b"\0" * 5000)
+    with pytest.raises(JournalError):
+        Journal(tmp_path)
+    with pytest.raises(JournalError, match="nothing can be kept, start anew"):
+        Journal.repair(tmp_path)
+
+
+FULL_DISK = """
+import resource, sys
+import numpy as np
+from pathlib import Path
+from evolution.run.journal import Journal
+from evolution.run.database import JournalError
+from caterpillar_env.robot import Outcomes
+folder = Path(sys.argv[1])
+journal = Journal.create(folder, {"seed": 3})
+session = journal.begin()
+resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+nothing = np.zeros(50)
+try:
+    for first in range(0, 100_000, 50):
+        part = Outcomes(nothing.astype(np.int8), nothing, nothing, nothing)
+        journal.append(first, 0, np.full((50, 20), first / 1e6), part, session)
+except JournalError as error:
+    print(first, error)
+"""
+
+
+def test_a_full_disk_is_told_and_costs_only_what_did_not_fit(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, str(tmp_path)], capture_output=True, text=True, check=True
+    )
+    safe, said = done.stdout.split(maxsplit=1)
+    assert "is the disk full?" in said
+    assert "caterpillar resume" in said
+    assert int(safe) > 100
+    with Journal(tmp_path) as journal:
+        assert len(list(journal.evaluations())) == int(safe)
+
+
+WRITER = """
+import sys
+import numpy as np
+from pathlib import Path
+from evolution.run.journal import Journal
+from caterpillar_env.robot import Outcomes
+journal = Journal.create(Path(sys.argv[1]), {"seed": 3})
+session = journal.begin()
+nothing = np.zeros(5)
+for first in range(0, 1_000_000, 5):
+    part = Outcomes(nothing.astype(np.int8), nothing, nothing, nothing)
+    journal.append(first, 0, np.full((5, 20), first / 1e7), part, session)
+    print(first + 5, flush=True)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("trial", range(25))
+def test_killed_in_the_middle_of_writing_loses_nothing_committed(tmp_path, trial):
+    command = [sys.executable, "-c", WRITER, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(float(np.random.default_rng(trial).uniform(0, 0.15)))
+        os.kill(process.pid, signal.SIGKILL)
+        rest = process.stdout.read().split("\n")
+    committed = [int(line) for line in rest if line]
+    with Journal(tmp_path) as journal:
+        rows = list(journal.evaluations())
+    assert len(rows) >= (committed[-2] if len(committed) > 1 else 5)
+    assert len(rows) % 5 == 0
+    shutil.rmtree(tmp_path)
+
+
+# Where it lies
+
+
+@pytest.mark.parametrize(
+    ("mounts", "mode"),
+    [("dev / ext4 rw 0 0\n", "wal"), ("dev / ext4 rw 0 0\nserver {} nfs4 rw 0 0\n", "delete")],
+)
+def test_network_file_systems_get_a_rollback_journal(tmp_path, monkeypatch, mounts, mode):
+    table = tmp_path / "mounts"
+    table.write_text(mounts.format(tmp_path / "far"))
+    monkeypatch.setattr("evolution.run.database._MOUNTS", table)
+    folder = tmp_path / "far" / "run"
+    folder.mkdir(parents=True)
+    with Journal.create(folder, {}) as journal:
+        assert journal._db.execute("PRAGMA journal_mode").fetchone() == (mode,)
+        assert journal._db.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL: power may fail
+
+
+def test_a_journal_can_be_looked_at_while_it_is_written(tmp_path):
+    with Journal.create(tmp_path, {"a": 1}) as journal:
+        journal.begin()
+        with Journal(tmp_path, read_only=True) as other:
+            assert other.configuration == {"a": 1}
+            assert len(other.sessions) == 1
+        assert is_in_use(tmp_path)
+    assert not is_in_use(tmp_path)
+
+
+def test_sessions_tell_when_they_began_and_ended(tmp_path):
+    with Journal.create(tmp_path, CONFIGURATION) as journal:
+        assert not journal.finished
+        journal.begin()
+        journal.finish(journal.begin())
+        stopped, finished = journal.sessions
+        assert journal.finished
+        assert journal.wall_s is None  # it was not finished in its first session
+    assert (stopped.number, finished.number) == (1, 2)
+    assert stopped.finished is stopped.wall_s is None
+    assert 0 <= finished.wall_s < 60
+    times = {"started": "2026-02-28 23:59:50", "finished": "2026-03-01 00:01:00"}
+    assert finished._replace(**times).wall_s == 70.0

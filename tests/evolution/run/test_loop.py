@@ -1,0 +1,593 @@
+"""A run's record: what it holds, that it repeats, and that it survives being stopped."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.files import FileError
+from caterpillar_env.gait import GaitTimings
+from caterpillar_env.morphology import NAMES, Morphology
+from caterpillar_env.physics import Physics
+from caterpillar_env.robot import Outcomes, Robot, simulate
+from caterpillar_env.task import Failure
+from evolution.config import ConfigError, RunConfig
+from evolution.optimizers.cma_es import CmaConfig, CmaEs
+from evolution.optimizers.ga import GaConfig
+from evolution.optimizers.random_search import RandomSearch
+from evolution.priors.distributions import ClampedGaussian, TruncatedGaussian, Uniform
+from evolution.run.evaluators import EvaluationError, LocalEvaluator
+from evolution.run.history import table
+from evolution.run.journal import Journal, fingerprint
+from evolution.run.loop import Own, RunError, evolve, history, read_configuration, resume
+from evolution.run.objective import scores
+
+SHORT = Physics(num_segments=2, timestep_s=0.01)
+#: So stiff, and so coarsely stepped, that every robot's integration breaks down at once.
+BROKEN = Physics(
+    num_segments=2, integrator="implicitfast", timestep_s=0.01,
+    axial_stiffness_n_m=1e9, axial_damping_n_s_m=0.0,
+)  # fmt: skip
+CONFIG = RunConfig(
+    seed=3, generations=3, physics=SHORT, ga=GaConfig(population=4, hall_of_fame=2, mutation_rate=0.2)
+)
+TINY = RunConfig(seed=4, generations=3, physics=SHORT, ga=GaConfig(population=2, hall_of_fame=1))
+
+
+ONE = LocalEvaluator(threads=1)
+
+
+def rows(folder):
+    return table(folder).to_dicts()
+
+
+def column(folder, name):
+    return table(folder)[name].to_numpy()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "deeper" / "run"
+    return folder, evolve(CONFIG, folder, evaluator=ONE)
+
+
+# The record
+
+
+def test_a_run_evaluates_everybody_once_and_elites_never_again(run):
+    folder, result = run
+    assert CONFIG.evaluations() == 4 + 2 * 2
+    assert column(folder, "generation").tolist() == [0] * 4 + [1] * 2 + [2] * 2
+    assert column(folder, "evaluation").tolist() == [*range(8)]
+    assert result.finished
+    assert [g.evaluations for g in result.generations] == [4, 6, 8]
+
+
+def test_generations_out_of_the_record_are_those_that_were_told(run):
+    folder, result = run
+    best = (folder / "best.json").stat().st_mtime_ns
+    with Journal(folder, read_only=True) as journal:
+        found = history(CONFIG, list(journal.evaluations()))
+    assert all(g.replayed for g in found)
+    known = {"elapsed_s": 0.0, "replayed": True}
+    assert [g._replace(**known) for g in found] == [g._replace(**known) for g in result.generations]
+    assert (folder / "best.json").stat().st_mtime_ns == best
+
+
+def test_columns_are_the_outcome_and_all_genes_by_name(run):
+    folder, _ = run
+    assert table(folder).columns == [
+        "evaluation", "generation", "failure", "fitness", "distance_m", "energy_j", "simulated_s",
+        "session", *NAMES,
+        "gap1_dorsal_on_s", "gap1_dorsal_off_s", "gap1_ventral_on_s", "gap1_ventral_off_s",
+    ]  # fmt: skip
+
+
+def test_a_row_of_the_record_crawls_exactly_as_far_again(run):
+    folder, _ = run
+    some = [rows(folder)[i] for i in (0, 7)]
+    bodies = [Morphology.of({name: row[name] for name in NAMES}) for row in some]
+    on, off = (
+        np.array([[r[f"gap1_{h}_{edge}_s"] for h in ("dorsal", "ventral")] for r in some])
+        for edge in ("on", "off")
+    )
+    again = simulate(bodies, GaitTimings(CONFIG.gait_period_s, on, off), SHORT, threads=1)
+    assert again.distance_m.tolist() == [row["distance_m"] for row in some]
+    assert again.energy_j.tolist() == [row["energy_j"] for row in some]
+    assert again.simulated_s.tolist() == [row["simulated_s"] for row in some]
+
+
+def test_best_robot_is_the_first_of_the_best_rows(run):
+    folder, result = run
+    best = Robot.load(folder)
+    row = max(rows(folder), key=lambda r: r["fitness"])
+    assert best.fitness_m == row["fitness"] > 0
+    assert best.generation == row["generation"]
+    assert best.morphology.to_dict() == {name: row[name] for name in NAMES}
+    assert best.timings.on_s[1] == row["gap1_ventral_on_s"]
+    assert best.physics == SHORT
+    assert best.to_dict() == result.best.to_dict()
+
+
+def test_best_fitness_never_gets_worse(run):
+    folder, result = run
+    told = [g.best_m for g in result.generations]
+    fitness, generation = column(folder, "fitness"), column(folder, "generation")
+    assert told == [fitness[generation <= g].max() for g in range(3)]
+
+
+def test_generations_are_told_as_they_are_recorded(run):
+    folder, result = run
+    fitness, generation = column(folder, "fitness"), column(folder, "generation")
+    labels = np.array([row["failure"] for row in rows(folder)])
+    for told in result.generations:
+        mine = generation == told.number
+        assert told.mean_m == pytest.approx(fitness[mine].mean(), rel=1e-12)
+        assert sum(told.failures.values()) == (labels[mine] != "ok").sum()
+        stepped = column(folder, "simulated_s")[generation <= told.number].sum()
+        assert told.simulated_s == pytest.approx(stepped)
+    assert set(result.generations[0].failures) == {f.label for f in Failure if f}
+    elapsed = [g.elapsed_s for g in result.generations]
+    assert elapsed == sorted(elapsed)
+
+
+def test_configuration_is_kept_whole(run):
+    folder, _ = run
+    with Journal(folder) as journal:
+        assert read_configuration(journal) == (CONFIG, Own())
+
+
+def test_a_run_leaves_just_its_record(run):
+    folder, _ = run
+    assert {p.name for p in folder.iterdir()} == {"journal.sqlite", ".lock", "best.json"}
+
+
+# Repeating
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_equal_seeds_give_equal_bits_at_any_number_of_threads(run, tmp_path, threads):
+    folder, _ = run
+    evolve(CONFIG, tmp_path, evaluator=LocalEvaluator(threads))
+    assert table(tmp_path).equals(table(folder))
+    assert (tmp_path / "best.json").read_bytes() == (folder / "best.json").read_bytes()
+
+
+def first_population(**settings):
+    return RunConfig(**settings).make_optimizer().ask()
+
+
+def test_seed_changes_the_genomes_and_not_the_robot():
+    assert not np.array_equal(first_population(seed=0), first_population(seed=1))
+    one, two = RunConfig(seed=0).physics.strengths(), RunConfig(seed=1).physics.strengths()
+    assert one.tolist() == two.tolist()
+
+
+def test_arms_of_one_seed_draw_the_genes_without_a_prior_alike():
+    prepared, uniform = first_population(), first_population(prior="uniform")
+    free = [3, 4, *range(8, 20)]  # mass, joint limit, timings
+    peaked = [0, 1, 2, 5, 6, 7]
+    np.testing.assert_array_equal(prepared[:, free], uniform[:, free])
+    assert not np.any(prepared[:, peaked] == uniform[:, peaked])
+    # One uniform number a draw: the peaked genes are the same quantiles of another distribution.
+    order = np.argsort(uniform[:, 0])
+    assert np.all(np.diff(prepared[order, 0]) > 0)
+
+
+# Being stopped
+
+
+def test_interrupt_keeps_the_finished_generations(tmp_path):
+    def stop(told):
+        if told.number == 1:
+            raise KeyboardInterrupt
+
+    result = evolve(TINY, tmp_path, evaluator=ONE, on_generation=stop)
+    assert not result.finished
+    assert [g.number for g in result.generations] == [0, 1]
+    assert column(tmp_path, "generation").tolist() == [0, 0, 1]
+    assert Robot.load(tmp_path).to_dict() == result.best.to_dict()
+
+
+def test_interrupt_within_a_generation_leaves_no_part_of_it(tmp_path):
+    whole = 0
+
+    def count(told):
+        nonlocal whole
+        whole += 1
+
+    def stop(share):
+        if whole == 1 and share > 0.05:
+            raise KeyboardInterrupt
+
+    result = evolve(TINY, tmp_path, evaluator=ONE, on_generation=count, on_progress=stop)
+    assert not result.finished
+    assert len(result.generations) == 1
+    assert len(rows(tmp_path)) == 2
+
+
+def test_interrupt_before_the_first_generation_leaves_an_empty_record(tmp_path):
+    def stop(share):
+        raise KeyboardInterrupt
+
+    result = evolve(TINY, tmp_path, evaluator=ONE, on_progress=stop)
+    assert result == (None, [], False)
+    assert rows(tmp_path) == []
+    assert not (tmp_path / "best.json").exists()
+
+
+def test_progress_runs_from_nothing_to_all_in_each_generation(tmp_path):
+    shares = []
+    config = RunConfig(generations=1, physics=SHORT, ga=GaConfig(population=2, hall_of_fame=0))
+    evolve(config, tmp_path, evaluator=ONE, on_progress=shares.append)
+    assert len(shares) == 300
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
+
+
+# Failures
+
+
+def test_scores_are_metres_or_metres_a_joule():
+    outcomes = Outcomes(
+        np.array([0, Failure.TIPPED, 0, 0]), np.array([0.06, 0.5, -0.1, 0.02]),
+        np.array([3.0, 1.0, 2.0, 0.0]), np.full(4, 30.0),
+    )  # fmt: skip
+    config = RunConfig(failed_fitness=0.001)
+    assert scores(outcomes, config).tolist() == [0.06, 0.001, 0.0, 0.02]
+    per_energy = scores(outcomes, replace(config, objective="distance-per-energy"))
+    assert per_energy.tolist() == [0.02, 0.001, 0.0, 0.0]  # whoever draws nothing earns nothing
+
+
+@pytest.mark.parametrize("failed_fitness", [0.0, 0.001])
+def test_a_whole_population_of_failures_runs_to_the_end(tmp_path, monkeypatch, failed_fitness):
+    monkeypatch.chdir(tmp_path)  # MuJoCo leaves its log where it runs
+    ga = GaConfig(population=4, hall_of_fame=1)
+    config = RunConfig(generations=3, failed_fitness=failed_fitness, physics=BROKEN, ga=ga)
+    result = evolve(config, tmp_path / "run", evaluator=ONE)
+    record = rows(tmp_path / "run")
+    assert result.finished
+    assert [row["failure"] for row in record] == ["diverged"] * 10
+    assert {row["fitness"] for row in record} == {failed_fitness}
+    assert max(row["simulated_s"] for row in record) < 30.0
+    assert [g.failures["diverged"] for g in result.generations] == [4, 3, 3]
+
+
+def test_a_robot_that_failed_is_never_the_best(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = RunConfig(
+        generations=1, failed_fitness=0.001, physics=BROKEN, ga=GaConfig(population=2, hall_of_fame=0)
+    )
+    assert evolve(config, tmp_path / "run", evaluator=ONE).best is None
+    assert not (tmp_path / "run" / "best.json").exists()
+
+
+# Folders
+
+
+def test_folder_that_holds_something_is_refused_and_left_alone(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(FileError, match="is not empty; choose another"):
+        evolve(TINY, tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_folder_below_a_file_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    for folder in (tmp_path / "file", tmp_path / "file" / "run"):
+        with pytest.raises(FileError, match="cannot write") as refused:
+            evolve(TINY, folder)
+        assert "\n" not in str(refused.value)
+
+
+# Configuration
+
+
+def test_default_run_is_the_papers():
+    config = RunConfig()
+    assert (config.generations, config.ga.population, config.ga.hall_of_fame) == (50, 200, 10)
+    assert (config.prior, config.floor_ratio) == ("preprocessed", 3.0)
+    assert config.evaluations() == 9_510  # 200 + 49 * 190
+    assert RunConfig(generations=114).evaluations() == 21_670
+
+
+def test_prior_decides_the_distributions():
+    assert set(RunConfig(prior="uniform").distributions()) == {Uniform()}
+    prepared = RunConfig().distributions()
+    assert sum(isinstance(d, TruncatedGaussian) for d in prepared) == 6
+    assert len(prepared) == 20
+
+
+def kinds(config, use="init"):
+    return {type(d) for d in config.distributions(use)}
+
+
+def test_prior_may_serve_the_first_draw_or_mutation_alone():
+    assert kinds(RunConfig(prior="init-only")) == {Uniform, TruncatedGaussian}
+    assert kinds(RunConfig(prior="init-only"), "mutation") == {Uniform}
+    assert kinds(RunConfig(prior="mutation-only")) == {Uniform}
+    assert kinds(RunConfig(prior="mutation-only"), "mutation") == {Uniform, TruncatedGaussian}
+
+
+@pytest.mark.parametrize(("prior", "informed"), [("init-only", 0), ("mutation-only", 1)])
+def test_optimizer_is_given_either_half_of_the_prior(prior, informed):
+    everything_mutates = GaConfig(population=300, hall_of_fame=1, mutation_rate=1.0)
+    optimizer = RunConfig(prior=prior, ga=everything_mutates).make_optimizer()
+    asked = [optimizer.ask()]
+    optimizer.tell(asked[0], np.ones(300))
+    asked.append(optimizer.ask())
+    means = [genomes[:, 0].mean() for genomes in asked]  # leg separation, better wide
+    assert means[informed] > 0.58
+    assert means[1 - informed] == pytest.approx(0.5, abs=0.06)
+
+
+def test_mirrored_prior_puts_every_peak_at_the_other_end():
+    pairs = zip(RunConfig().distributions(), RunConfig(prior="mirrored").distributions(), strict=True)
+    for one, other in pairs:
+        if one == Uniform():
+            assert other == Uniform()
+        else:
+            assert (other.mu, other.sigma) == (1 - one.mu, one.sigma)
+
+
+def test_clamped_prior_keeps_peaks_and_widths():
+    clamped = RunConfig(clipping="clamped").distributions()
+    for one, other in zip(RunConfig().distributions(), clamped, strict=True):
+        if one != Uniform():
+            assert other == ClampedGaussian(one.mu, one.sigma)
+
+
+def test_optimizer_is_the_one_that_was_named():
+    assert isinstance(RunConfig(optimizer="cma-es").make_optimizer(), CmaEs)
+    assert isinstance(RunConfig(optimizer="random").make_optimizer(), RandomSearch)
+
+
+def test_configuration_survives_json():
+    config = RunConfig(
+        optimizer="cma-es", prior="uniform", cma=CmaConfig(cma_population=9), physics=SHORT
+    )  # fmt: skip
+    assert RunConfig.from_dict(config.to_dict()) == config
+    with pytest.raises(ConfigError, match="a run's configuration has no luck; its fields are seed"):
+        RunConfig.from_dict({**config.to_dict(), "luck": 1})
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"seed": -1}, "seed = -1"),
+        ({"optimizer": "hopes"}, "optimizer = 'hopes' must be one of ga, cma-es, random"),
+        ({"optimizer": "cma-es", "prior": "init-only"}, "choose preprocessed, uniform or mirrored"),
+        ({"genome": "half"}, "genome = 'half' must be one of shared, full, per-segment"),
+        ({"objective": "speed"}, "objective = 'speed'"),
+        ({"clipping": "cut"}, "clipping = 'cut'"),
+        ({"sampling": "grid"}, "sampling = 'grid'"),
+        ({"generations": 0}, "generations = 0"),
+        *(
+            ({"target_m": value}, f"target_m = {value!r} must be a positive distance in m; leave it out")
+            for value in (-0.1, 0, np.nan, np.inf, "far", True)
+        ),
+        ({"budget_s": 0.0}, "budget_s = 0.0 must be a positive number of simulated seconds"),
+        ({"budget_s": "long"}, "budget_s = 'long' must be a positive number"),
+        ({"generations": -5}, "generations = -5"),
+        ({"prior": "hopeful"}, "prior = 'hopeful'"),
+        ({"floor_ratio": 1.0}, "floor_ratio = 1.0"),
+        ({"floor_ratio": np.inf}, "floor_ratio = inf"),
+        ({"failed_fitness": -0.1}, "failed_fitness = -0.1"),
+        ({"failed_fitness": np.nan}, "failed_fitness = nan"),
+        ({"failed_fitness": np.inf}, "failed_fitness = inf"),
+        ({"gait_period_s": 0.0}, "gait_period_s"),
+        ({"gait_period_s": -3.0}, "gait_period_s"),
+        ({"gait_period_s": 0.25}, "gait_period_s"),
+        ({"gait_period_s": np.nan}, "gait_period_s"),
+        ({"gait_period_s": np.inf}, "gait_period_s"),
+    ],
+    ids=str,
+)
+def test_unusable_settings_are_refused_in_one_line(settings, message):
+    with pytest.raises(CaterpillarError, match=message) as refused:
+        RunConfig(**settings)
+    assert "\n" not in str(refused.value)
+
+
+# Going on
+
+
+KINDS = [
+    {"optimizer": "ga"},
+    {"optimizer": "cma-es", "cma": CmaConfig(cma_population=4)},
+    {"optimizer": "random"},
+    {"optimizer": "random", "sampling": "sobol"},
+    {"optimizer": "ga", "objective": "distance-per-energy"},
+    {"optimizer": "ga", "genome": "full"},
+    {"optimizer": "cma-es", "genome": "per-segment", "cma": CmaConfig(cma_population=4)},
+]
+
+
+@pytest.mark.parametrize("settings", KINDS, ids=lambda kind: "-".join(map(str, kind.values()))[:30])
+def test_interrupted_and_resumed_equals_uninterrupted(tmp_path, settings):
+    config = RunConfig(
+        seed=5, generations=4, physics=SHORT, ga=GaConfig(population=4, hall_of_fame=1), **settings
+    )  # fmt: skip
+
+    def stop(told):
+        if told.number == 1:
+            raise KeyboardInterrupt
+
+    whole = evolve(config, tmp_path / "whole", evaluator=ONE)
+    assert not evolve(config, tmp_path / "broken", evaluator=ONE, on_generation=stop).finished
+    again = resume(tmp_path / "broken", evaluator=ONE)
+    assert again.finished
+    assert [g.replayed for g in again.generations] == [True, True, False, False]
+    assert table(tmp_path / "broken").drop("session").equals(table(tmp_path / "whole").drop("session"))
+    assert again.best.to_dict() == whole.best.to_dict()
+
+
+def test_a_finished_run_is_gone_through_again_without_evaluating(run, tmp_path):
+    folder, result = run
+    before = table(folder)
+    again = resume(folder, evaluator=None)
+    assert all(g.replayed for g in again.generations)
+    assert table(folder).equals(before)
+    assert again.best.to_dict() == result.best.to_dict()
+
+
+def test_a_run_can_be_made_longer_and_not_shorter(tmp_path):
+    evolve(TINY, tmp_path / "short", evaluator=ONE)
+    longer = resume(tmp_path / "short", generations=5, evaluator=ONE)
+    evolve(replace(TINY, generations=5), tmp_path / "long", evaluator=ONE)
+    assert table(tmp_path / "short").drop("session").equals(table(tmp_path / "long").drop("session"))
+    assert len(longer.generations) == 5
+    with pytest.raises(RunError, match="a run can only be made longer: generations is 5"):
+        resume(tmp_path / "short", generations=3)
+
+
+def test_generation_of_which_a_part_is_known_is_completed(tmp_path, monkeypatch):
+    monkeypatch.setattr("evolution.run.loop.CHUNK", 2)
+    whole = evolve(CONFIG, tmp_path / "whole", evaluator=ONE)
+    seen = []
+
+    class Dies(LocalEvaluator):
+        def map(self, task, chunks, on_progress=None):
+            for outcomes in super().map(task, chunks, on_progress):
+                yield outcomes
+                seen.append(len(outcomes.failure))
+                raise KeyboardInterrupt
+
+    assert not evolve(CONFIG, tmp_path / "part", evaluator=Dies(1)).finished
+    assert seen == [2]
+    assert len(table(tmp_path / "part")) == 2
+    again = resume(tmp_path / "part", evaluator=ONE)
+    assert again.best.to_dict() == whole.best.to_dict()
+    assert table(tmp_path / "part")["session"].to_list() == [1, 1, 2, 2, 2, 2, 2, 2]
+
+
+def test_genome_that_differs_in_replay_is_an_error_that_says_so(tmp_path):
+    evolve(TINY, tmp_path, evaluator=ONE)
+    with Journal(tmp_path) as journal:
+        journal.configure({**replace(TINY, seed=9).to_dict(), "own_optimizer": None})
+    with pytest.raises(RunError, match=r"evaluation 0 in .* is of another genome") as told:
+        resume(tmp_path)
+    assert "start anew" in str(told.value)
+
+
+def test_other_versions_are_told_on_resume(tmp_path, monkeypatch):
+    evolve(TINY, tmp_path, evaluator=ONE)
+    told = []
+    resume(tmp_path, evaluator=ONE, on_warning=told.append)
+    assert told == []
+    now = {**fingerprint(), "mujoco": "9.9.9"}
+    monkeypatch.setattr("evolution.run.loop.fingerprint", lambda: now)
+    resume(tmp_path, evaluator=ONE, on_warning=told.append)
+    assert len(told) == 2
+    assert "session 1 (evaluations 0 to 3) ran under mujoco 4." in told[0]
+    assert "(now 9.9.9)" in told[0]
+
+
+def test_a_record_of_before_there_were_targets_goes_on_with_elites_that_breed(run, tmp_path):
+    config = replace(CONFIG, ga=replace(CONFIG.ga, elites_breed=True))
+    evolve(config, tmp_path / "whole", evaluator=ONE)
+    evolve(replace(config, generations=1), tmp_path / "part", evaluator=ONE)
+    with Journal(tmp_path / "part") as journal:
+        before = journal.configuration
+        assert before["ga"]["elites_breed"] is True
+        del before["target_m"]
+        journal.configure(before)
+    assert resume(tmp_path / "part", generations=3, evaluator=ONE).finished
+    part, whole = table(tmp_path / "part"), table(tmp_path / "whole")
+    assert part.drop("session").equals(whole.drop("session"))
+    assert not whole.equals(table(run[0]))  # whose elites do not breed
+
+
+class Halves:
+    """An optimizer from elsewhere: asks for the middle, then ever nearer to a corner."""
+
+    def __init__(self, num_genes):
+        self.at = np.full((2, num_genes), 0.5)
+
+    def ask(self):
+        return self.at
+
+    def tell(self, genomes, fitness):
+        assert fitness.shape == (2,)
+        self.at = self.at / 2
+
+
+def test_an_optimizer_from_elsewhere_drives_a_run_and_its_resumption(tmp_path):
+    config = RunConfig(generations=3, physics=SHORT)
+    evolve(config, tmp_path / "whole", evaluator=ONE, optimizer=Halves(12))
+    evolve(replace(config, generations=2), tmp_path / "part", evaluator=ONE, optimizer=Halves(12))
+    with pytest.raises(RunError, match=r"an optimizer of your own \(Halves\)"):
+        resume(tmp_path / "part")
+    resume(tmp_path / "part", generations=3, evaluator=ONE, optimizer=Halves(12))
+    assert table(tmp_path / "part").drop("session").equals(table(tmp_path / "whole").drop("session"))
+
+
+def thrift(outcomes):
+    """An objective from elsewhere, under which the laziest robot is the best."""
+    return 1000 - outcomes.energy_j
+
+
+def test_an_objective_of_ones_own_decides_who_is_best(tmp_path):
+    result = evolve(CONFIG, tmp_path / "run", evaluator=ONE, objective=thrift)
+    data = table(tmp_path / "run").filter(failure="ok")
+    laziest = data.sort("energy_j", "evaluation").to_dicts()[0]
+    assert data["distance_m"].max() > laziest["distance_m"]
+    assert result.best.fitness_m == laziest["distance_m"]
+    assert result.best.generation == laziest["generation"]
+
+
+def test_an_objective_of_ones_own_is_told_to_the_optimizer(tmp_path):
+    told = []
+
+    class Hears(Halves):
+        def tell(self, genomes, fitness):
+            told.extend(fitness)
+
+    config = RunConfig(generations=2, physics=SHORT, failed_fitness=7.0)
+    evolve(config, tmp_path / "run", evaluator=ONE, optimizer=Hears(12), objective=thrift)
+    data = table(tmp_path / "run")
+    expected = [1000 - r["energy_j"] if r["failure"] == "ok" else 7.0 for r in data.to_dicts()]
+    assert told == expected
+
+
+def test_a_run_with_an_objective_of_ones_own_goes_on_with_it_alone(tmp_path):
+    evolve(CONFIG, tmp_path / "whole", evaluator=ONE, objective=thrift)
+    evolve(replace(CONFIG, generations=2), tmp_path / "part", evaluator=ONE, objective=thrift)
+    with pytest.raises(RunError, match=r"an objective of your own \(thrift\); .*objective=\.\.\."):
+        resume(tmp_path / "part", generations=3)
+    resume(tmp_path / "part", generations=3, evaluator=ONE, objective=thrift)
+    part, whole = table(tmp_path / "part"), table(tmp_path / "whole")
+    assert part.drop("session").equals(whole.drop("session"))
+    assert part["fitness"].null_count() == len(part)
+    with Journal(tmp_path / "part") as journal:
+        assert read_configuration(journal) == (CONFIG, Own(objective="thrift"))
+
+
+@pytest.mark.parametrize(
+    "objective",
+    [
+        lambda outcomes: -1 - outcomes.energy_j,
+        lambda outcomes: outcomes.energy_j * np.nan,
+        lambda outcomes: outcomes.energy_j.sum(),
+    ],
+)
+def test_an_objective_that_gives_no_fitness_is_refused(tmp_path, objective):
+    with pytest.raises(RunError, match=r"must give 4 finite numbers, .* shape \(4,\); got"):
+        evolve(CONFIG, tmp_path / "run", evaluator=ONE, objective=objective)
+
+
+def test_an_exception_in_evaluation_stops_the_run_with_the_genome(tmp_path, monkeypatch):
+    def breaks(bodies, timings, physics, **kwargs):
+        if any(body.segment_mass_kg > 0.0095 for body in bodies):
+            raise ZeroDivisionError("a bug")
+        return simulate(bodies, timings, physics, **kwargs)
+
+    monkeypatch.setattr("evolution.run.objective.simulate", breaks)
+    config = RunConfig(generations=1, physics=SHORT, ga=GaConfig(population=20, hall_of_fame=0))
+    with pytest.raises(EvaluationError, match="failed with ZeroDivisionError: a bug") as told:
+        evolve(config, tmp_path, evaluator=ONE)
+    genome = json.loads(str(told.value).split("The genome was ")[1])
+    assert len(genome) == 12
+    assert len(table(tmp_path)) == 0
