@@ -25,7 +25,7 @@ GENOME = np.random.default_rng(2).random(12)
 
 @pytest.fixture
 def individual():
-    return Encoding.robot(GENOME(SHORT, PERIOD_S), fitness_m=0.0123, generation=7)
+    return Encoding(SHORT, PERIOD_S).robot(GENOME, fitness_m=0.0123, generation=7)
 
 
 def changed(individual, path, value):
@@ -95,16 +95,16 @@ def test_loaded_robot_crawls_as_its_genome_did(individual, tmp_path):
 @pytest.mark.parametrize(("kind", "size"), [("full", 16), ("per-segment", 20)])
 def test_robots_of_other_genomes_come_back_too(tmp_path, kind, size):
     genome = np.random.default_rng(2).random(size)
-    Encoding.robot(genome(SHORT, PERIOD_S, kind)).save(tmp_path / "best.json")
+    Encoding(SHORT, PERIOD_S, kind).robot(genome).save(tmp_path / "best.json")
     again = Robot.load(tmp_path).simulate(threads=1)
     ours = evaluate(genome[None], Encoding(SHORT, PERIOD_S, kind), threads=1)
     assert again.distance_m[0] == ours.distance_m[0] != 0.0
 
 
 def test_json_names_segments_and_springs():
-    whole = (0.3).robot(np.full(16), Encoding(SHORT, PERIOD_S, "full")).to_dict()
+    whole = Encoding(SHORT, PERIOD_S, "full").robot(np.full(16, 0.3)).to_dict()
     assert list(whole["gait"]["springs"])[:2] == ["gap1_dorsal_left", "gap1_dorsal_right"]
-    parts = (0.3).robot(np.full(20), Encoding(SHORT, PERIOD_S, "per-segment")).to_dict()
+    parts = Encoding(SHORT, PERIOD_S, "per-segment").robot(np.full(20, 0.3)).to_dict()
     assert len(parts["morphology"]) == 2
     del parts["morphology"][1]
     with pytest.raises(CaterpillarError, match="one morphology for all of them, or a tuple of 2; got 1"):

@@ -1,13 +1,12 @@
 import numpy as np
 
 from caterpillar_env.validation.mechanics import detectors
-from caterpillar_env.validation.robots import RUNS, evolved_robots, together
+from caterpillar_env.validation.robots import evolved_robots, together
 
 
 def test_evolved_robots_come_from_a_run_each_and_repeat_their_record():
     robots = evolved_robots()
-    assert len(robots) == len(RUNS) == 32
-    assert len({(run.optimizer, run.prior, run.seed) for run in RUNS}) == len(RUNS)
+    assert len(robots) == 32
     assert len({robot.digest for robot in robots}) == len(robots)
     best = robots[:2]
     for robot in best:

@@ -22,7 +22,7 @@ from evolution.run.evaluators import EvaluationError, LocalEvaluator
 from evolution.run.history import table
 from evolution.run.journal import Journal, fingerprint
 from evolution.run.loop import Own, RunError, evolve, history, read_configuration, resume
-from evolution.run.objective import scores
+from evolution.run.objective import ObjectiveError, scores
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
 #: So stiff, and so coarsely stepped, that every robot's integration breaks down at once.
@@ -574,7 +574,7 @@ def test_a_run_with_an_objective_of_ones_own_goes_on_with_it_alone(tmp_path):
     ],
 )
 def test_an_objective_that_gives_no_fitness_is_refused(tmp_path, objective):
-    with pytest.raises(RunError, match=r"must give 4 finite numbers, .* shape \(4,\); got"):
+    with pytest.raises(ObjectiveError, match=r"must give 4 finite numbers, .* shape \(4,\); got"):
         evolve(CONFIG, tmp_path / "run", evaluator=ONE, objective=objective)
 
 
@@ -584,7 +584,7 @@ def test_an_exception_in_evaluation_stops_the_run_with_the_genome(tmp_path, monk
             raise ZeroDivisionError("a bug")
         return simulate(bodies, timings, physics, **kwargs)
 
-    monkeypatch.setattr("evolution.run.objective.simulate", breaks)
+    monkeypatch.setattr("evolution.run.evaluators.simulate", breaks)
     config = RunConfig(generations=1, physics=SHORT, ga=GaConfig(population=20, hall_of_fame=0))
     with pytest.raises(EvaluationError, match="failed with ZeroDivisionError: a bug") as told:
         evolve(config, tmp_path, evaluator=ONE)
