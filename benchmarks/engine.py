@@ -5,16 +5,11 @@ from __future__ import annotations
 import time
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl
 from caterpillar_env.validation.recorder import recorded
 from caterpillar_env.validation.robots import random_robots
 from evolution.run.evaluators import CHUNK
-
-Array = NDArray[np.float64]
 
 
 class Speed(NamedTuple):

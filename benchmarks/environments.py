@@ -19,15 +19,14 @@ import gymnasium
 import mujoco
 import numpy as np
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
-from numpy.typing import NDArray
 
 import caterpillar_env  # noqa: F401  registers the environments
 from benchmarks.harness import report, spread, turns
+from caterpillar_env.arrays import Array
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.sma import SmaState, advance
 from caterpillar_env.validation.recorder import recorded
 
-Array = NDArray[np.float64]
 IDS = {"switch": "CaterpillarSMASwitch-v0", "timing": "CaterpillarSMA-v0"}
 SEED = 0
 

@@ -11,13 +11,11 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.machine import cores, processor
-
-Array = NDArray[np.float64]
 
 
 def timed(work: Callable[[], Any]) -> float:

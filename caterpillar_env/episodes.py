@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import MorphologyError, SimulationError, TimingError
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, whole
 from caterpillar_env.model import joint_names
@@ -16,7 +17,7 @@ from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.observation import observation_names, observe
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.randomization import Conditions, Randomization
-from caterpillar_env.simulation import Array, BodyState, Rows, Trace
+from caterpillar_env.simulation import BodyState, Rows, Trace
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress, label
 
 #: Bound of every entry of an observation; healthy robots stay around one.

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import TimingError
-
-Array = NDArray[np.float64]
 
 #: Default gait period: a spring takes about 1 s to heat and 2.8 s to cool by nine tenths; six periods
 #: make up the paper's 30 s.

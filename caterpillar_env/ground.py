@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from caterpillar_env.arrays import Array
 
 #: Contact bits of the two kinds of parts that touch the ground.
 FOOT, SKIN = 1, 2

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import MorphologyError
 
 
@@ -37,8 +38,8 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("attachment_z_m", "z", "m", 0.003, 0.009, 0.006, "spring attachment, lateral"),
 )
 NAMES: tuple[str, ...] = tuple(p.name for p in PARAMETERS)
-LOWER: NDArray[np.float64] = np.array([p.lower for p in PARAMETERS])
-UPPER: NDArray[np.float64] = np.array([p.upper for p in PARAMETERS])
+LOWER: Array = np.array([p.lower for p in PARAMETERS])
+UPPER: Array = np.array([p.upper for p in PARAMETERS])
 for _bound in (LOWER, UPPER):
     _bound.flags.writeable = False
 
@@ -111,15 +112,15 @@ class Morphology:
         return cls(*array.tolist())
 
     @classmethod
-    def from_unit(cls, unit: NDArray[np.float64]) -> Morphology:
+    def from_unit(cls, unit: Array) -> Morphology:
         """The morphology at `unit`, shape (8,), where 0 is the lower and 1 the upper bound."""
         return cls(*np.clip(LOWER + unit * (UPPER - LOWER), LOWER, UPPER).tolist())
 
-    def to_array(self) -> NDArray[np.float64]:
+    def to_array(self) -> Array:
         """The eight values in the order of `NAMES`, SI units, shape (8,)."""
         return np.array([getattr(self, f.name) for f in fields(self)])
 
-    def to_unit(self) -> NDArray[np.float64]:
+    def to_unit(self) -> Array:
         """The eight values scaled to [0, 1] by their bounds, shape (8,)."""
         return (self.to_array() - LOWER) / (UPPER - LOWER)
 

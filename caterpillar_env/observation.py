@@ -7,11 +7,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.gait import spring_names
 from caterpillar_env.model import joint_names
 from caterpillar_env.morphology import NAMES
 from caterpillar_env.physics import Physics
-from caterpillar_env.simulation import Array, BodyState
+from caterpillar_env.simulation import BodyState
 
 # Scales that bring observations to the order of one.
 _AXIAL_SCALE_M = 0.003

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import PhysicsError, TimingError, from_mapping
 from caterpillar_env.gait import SPRINGS_PER_GAP, whole
 from caterpillar_env.sma import SmaSpring
@@ -134,7 +134,7 @@ class Physics:
         """All fields by name, the spring's nested: plain JSON."""
         return asdict(self)
 
-    def strengths(self) -> NDArray[np.float64]:
+    def strengths(self) -> Array:
         """Factor on each spring's force, shape (num_springs,): the robot's actuator mismatch.
 
         `spring_strengths` where given, else normal about 1 with `mismatch_std`, drawn from
@@ -147,6 +147,6 @@ class Physics:
         return mismatched(self.mismatch_std, rng.standard_normal(self.num_springs))
 
 
-def mismatched(std: float, normal: NDArray[np.float64]) -> NDArray[np.float64]:
+def mismatched(std: float, normal: Array) -> Array:
     """Strengths about 1 from standard normal draws, never below a tenth."""
     return np.maximum(1.0 + std * normal, 0.1)

@@ -13,12 +13,13 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import read, write_json
 from caterpillar_env.gait import GaitTimings, pair_names, spring_names, whole
 from caterpillar_env.morphology import Body, Morphology, segments_of
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
-from caterpillar_env.simulation import Array, Trace
+from caterpillar_env.simulation import Trace
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress
 
 FORMAT = "caterpillar-individual-1"

@@ -17,6 +17,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import SimulationError
 from caterpillar_env.gait import whole
 from caterpillar_env.ground import STANCE_M, clearances_m, half_axes_m, loads_n, touching_geoms
@@ -26,7 +27,6 @@ from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.randomization import Conditions, varied
 from caterpillar_env.sma import SmaState, advance
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 _CACHED_BODIES = 256

@@ -22,9 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import PhysicsError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import SimulationError
 from caterpillar_env.gait import whole
 from caterpillar_env.morphology import Body
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.randomization import Conditions
-from caterpillar_env.simulation import Array, Pose, Rows, Simulation, Trace
+from caterpillar_env.simulation import Pose, Rows, Simulation, Trace
 
 #: Saunders 2009, section IV: distance travelled within 30 s of simulated time.
 EPISODE_S = 30.0

@@ -11,14 +11,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.drawing.pictures import Pictures
 from caterpillar_env.drawing.rendering import View, drawn
 from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.episodes import Episodes, check_options, morphologies_for
 from caterpillar_env.errors import SimulationError
 from caterpillar_env.morphology import Morphology
-
-Array = NDArray[np.float64]
 
 
 class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]]):

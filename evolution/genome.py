@@ -17,15 +17,14 @@ from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, pair_names, spring_names
 from caterpillar_env.morphology import PARAMETERS, Body, Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Robot
 
-Array = NDArray[np.float64]
 GenomeKind = Literal["shared", "full", "per-segment"]
 
 

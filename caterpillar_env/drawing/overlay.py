@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.sma import SmaSpring
 from caterpillar_env.task import Progress, label
 
@@ -43,12 +44,12 @@ class Readout(NamedTuple):
         )
 
 
-def spring_rgb(spring: SmaSpring, temperature_c: NDArray[np.float64]) -> NDArray[np.float64]:
+def spring_rgb(spring: SmaSpring, temperature_c: Array) -> Array:
     """Blue at ambient, yellow where austenite forms (As), red at the cut-off: (n,) to (n, 3)."""
     share = np.interp(
         temperature_c, [spring.ambient_c, spring.austenite_start_c, spring.cut_off_c], [0.0, 0.5, 1.0]
     )[:, None]
-    colour: NDArray[np.float64] = np.where(
+    colour: Array = np.where(
         share < 0.5, _COLD + 2 * share * (_WARM - _COLD), _WARM + (2 * share - 1) * (_HOT - _WARM)
     )
     return colour

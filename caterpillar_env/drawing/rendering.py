@@ -17,6 +17,7 @@ import numpy as np
 from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
 from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.drawing.backend import INSTALL_DRAWING
 from caterpillar_env.drawing.overlay import CONTACT_RGB, PATH_RGB, Readout, annotate, spring_rgb
 from caterpillar_env.drawing.scenery import CAMERAS, RULER
@@ -24,7 +25,6 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.ground import clearances_m, half_axes_m, touching_geoms
 from caterpillar_env.sma import SmaSpring
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 #: What kept the first picture from being drawn; to try a broken backend again may end the process.

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.drawing.overlay import Readout
 from caterpillar_env.drawing.rendering import RobotRenderer, View
 from caterpillar_env.drawing.scenery import Camera
@@ -236,12 +237,10 @@ def shows(path: Path, robot: AnyRobot) -> bool:
     return robot.digest.encode() in path.read_bytes()
 
 
-def _times(duration_s: float, speed: float, fps: float) -> NDArray[np.float64]:
+def _times(duration_s: float, speed: float, fps: float) -> Array:
     """Simulated time of each frame, s; the last one stays for a while."""
     moving = math.ceil(duration_s * fps / speed) + 1
-    times: NDArray[np.float64] = np.minimum(
-        np.arange(moving + round(_HOLD_S * fps)) * speed / fps, duration_s
-    )
+    times: Array = np.minimum(np.arange(moving + round(_HOLD_S * fps)) * speed / fps, duration_s)
     return times
 
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.model import build_model
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.simulation import Simulation
@@ -16,7 +16,6 @@ from caterpillar_env.validation.check import Check, at_least, at_most
 from caterpillar_env.validation.mechanics import crawl_for
 from caterpillar_env.validation.robots import random_robots, wave_robots
 
-Array = NDArray[np.float64]
 _TIMESTEPS_S = (0.005, 0.0025, 0.001)
 
 

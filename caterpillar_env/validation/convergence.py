@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Body
 from caterpillar_env.physics import SMA_STEP_S, Physics
@@ -25,7 +26,6 @@ from caterpillar_env.validation.check import Check, at_least, at_most
 from caterpillar_env.validation.mechanics import crawl_for
 from caterpillar_env.validation.robots import evolved_robots, farthest_robots, random_robots, together
 
-Array = NDArray[np.float64]
 SPREAD = 10  #: evolved robots whose intrinsic spread is measured
 INDEPENDENT = 12  #: evolved robots that the independent reference takes on: it is ten times as dear
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.ground import SKIN
 from caterpillar_env.morphology import length_m, segments_of
 from caterpillar_env.physics import GRAVITY_M_S2, SMA_STEP_S
@@ -19,8 +19,6 @@ from caterpillar_env.robot import Robot
 from caterpillar_env.task import EPISODE_S, Crawl
 from caterpillar_env.validation.check import Check, at_most
 from caterpillar_env.validation.recorder import recorded
-
-Array = NDArray[np.float64]
 
 
 class Gait(NamedTuple):

@@ -12,8 +12,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.gait import whole
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.robot import Robot
@@ -21,7 +21,6 @@ from caterpillar_env.task import EPISODE_S, Crawl, label
 from caterpillar_env.validation.check import Check
 from caterpillar_env.validation.robots import evolved_robots, random_individuals
 
-Array = NDArray[np.float64]
 FILE = Path(__file__).with_name("golden.json")
 SAMPLE_S = 3.0  #: time between two recorded points
 TOLERANCE_M = 1e-6

@@ -9,14 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.physics import GRAVITY_M_S2
 from caterpillar_env.sma import SmaSpring, SmaState, SmaStep, advance, spring_force
 from caterpillar_env.validation.check import Check, at_most, near
 
-Array = NDArray[np.float64]
 _ONE = (1,)
 
 

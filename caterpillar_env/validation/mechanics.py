@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.gait import spring_names
 from caterpillar_env.model import build_model, joint_names
 from caterpillar_env.morphology import Body, Morphology, segments_of
@@ -21,7 +21,6 @@ from caterpillar_env.task import EPISODE_S, Crawl, Progress, Thresholds, label
 from caterpillar_env.validation.check import Check, at_least, at_most, near, same
 from caterpillar_env.validation.robots import random_robots, together
 
-Array = NDArray[np.float64]
 _FREE = 6  # degrees of freedom of the head
 
 

@@ -8,15 +8,14 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import PARAMETERS, Morphology
 from caterpillar_env.robot import Robot, simulate
 from caterpillar_env.task import EPISODE_S
 from caterpillar_env.validation.robots import together
 
-Array = NDArray[np.float64]
 SHARES = (0.01, 0.03, 0.10)  #: of a gene's range, the gait period being that of a time
 _SEED = 12
 

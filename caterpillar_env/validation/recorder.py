@@ -7,13 +7,10 @@ from contextlib import contextmanager
 from typing import Any
 
 import mujoco
-import numpy as np
 from mujoco.batch import Batch
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.simulation import Simulation
-
-Array = NDArray[np.float64]
 
 
 class EngineCalls:

@@ -9,15 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Robot, simulate
 from caterpillar_env.validation.check import Check, near
 from caterpillar_env.validation.robots import together
 
-Array = NDArray[np.float64]
 STOPS = "softness of the joint stops 2.5 / 10 ms"
 
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
-
-Array = NDArray[np.float64]
 
 
 class OptimizerError(CaterpillarError):

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import cma
 import numpy as np
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from evolution.optimizers.base import OptimizerError, check_told
 from evolution.priors.distributions import Distribution, Uniform
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import check_choice
 from evolution.optimizers.base import OptimizerError, check_told
 from evolution.priors.distributions import Distribution
 
-Array = NDArray[np.float64]
 Crossover = Literal["uniform", "one-point", "two-point"]
 
 

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import check_choice
 from evolution.optimizers.base import OptimizerError, check_told
 from evolution.priors.distributions import Distribution
 
-Array = NDArray[np.float64]
 Sampling = Literal["independent", "sobol"]
 
 

@@ -13,16 +13,14 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import whole
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, GRAVITY_M_S2, Physics
 from evolution.genome import Encoding, Gene
 from evolution.priors.distributions import ClampedGaussian, Distribution, TruncatedGaussian, Uniform
-
-Array = NDArray[np.float64]
 
 GRID_NODES = 10  #: "approximately ten nodes per gene", Saunders 2009, section II
 Clipping = Literal["truncated", "clamped"]

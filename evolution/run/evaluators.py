@@ -11,16 +11,13 @@ import socket
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.physics import CONTROL_INTERVAL_S
 from caterpillar_env.robot import Outcomes, simulate
 from caterpillar_env.task import EPISODE_S
 from evolution.genome import Encoding
 
-Array = NDArray[np.float64]
 CHUNK = 50  #: genomes that are evaluated, and recorded, together
 
 

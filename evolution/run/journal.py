@@ -24,13 +24,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure, label
 from evolution.run.database import JournalDamagedError, JournalError, locked, opened, told
 
-Array = NDArray[np.float64]
 FILE = "journal.sqlite"
 SCHEMA = 1
 _APPLICATION = 0x43415450  # "CATP"

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import make_folder
 from caterpillar_env.robot import Outcomes, Robot
@@ -25,8 +25,6 @@ from evolution.optimizers.base import Optimizer
 from evolution.run.evaluators import CHUNK, Evaluator, LocalEvaluator
 from evolution.run.journal import Evaluation, Journal, fingerprint, outcomes_of
 from evolution.run.objective import Score, scores
-
-Array = NDArray[np.float64]
 
 
 class RunError(CaterpillarError):

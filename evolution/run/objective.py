@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure
 from evolution.config import RunConfig
 
-Array = NDArray[np.float64]
 #: A fitness of one's own: of P outcomes, (P,), the greater the better; failures are scored elsewhere.
 Score = Callable[[Outcomes], Array]
 

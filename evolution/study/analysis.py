@@ -10,13 +10,13 @@ import numpy as np
 import polars
 from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from evolution.study import statistics
 from evolution.study.arms import EvolutionArm
 from evolution.study.config import Cell, StudyConfig
 from evolution.study.results import Course, courses
 from evolution.study.statistics import Estimate
 
-Array = NDArray[np.float64]
 TARGETS = 50
 _SEED = 2009  # of the bootstrap
 

@@ -13,11 +13,11 @@ import numpy as np
 import polars
 from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.files import write_json
 from evolution.study.arms import COLUMNS
 from evolution.study.config import Cell, StudyConfig, is_finished
 
-Array = NDArray[np.float64]
 DATA = "evaluations.parquet"  #: all evaluations of a study in one table
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, stats
 
-Array = NDArray[np.float64]
+from caterpillar_env.arrays import Array
+
 Flags = NDArray[np.bool_]
 
 LEVEL = 0.95

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from viser import FrameHandle, LineSegmentsHandle, SceneApi
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.drawing.overlay import spring_rgb
 from caterpillar_env.model import build_model
 from caterpillar_env.robot import Robot
-
-Array = NDArray[np.float64]
 
 _GROUND_M = 4.0  # side of the ground; nothing crawls 2 m in 30 s
 

@@ -10,15 +10,13 @@ import warnings
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import length_m, segments_of
 from caterpillar_env.robot import Robot
 from evolution.viewer.player import Player
 from evolution.viewer.session import Session
-
-Array = NDArray[np.float64]
 
 HOST = "127.0.0.1"
 _FIELD_OF_VIEW_RAD = 0.7  # vertical

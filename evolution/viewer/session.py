@@ -6,16 +6,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.gait import GaitTimings, whole
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.robot import Outcomes, Robot
 from caterpillar_env.simulation import Trace
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress
-
-Array = NDArray[np.float64]
 
 #: A wave from the tail, ventral pairs half a period after dorsal ones; each is heated for 1 s.
 _ON_S = (0.0, 2.5, 3.3, 0.8, 1.7, 4.2)

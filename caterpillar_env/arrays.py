@@ -1,0 +1,9 @@
+"""The type of the arrays of numbers that the whole project uses."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: NumPy array of 64-bit floats, of any shape; docstrings give shapes and units.
+Array = NDArray[np.float64]
