@@ -22,7 +22,7 @@ from baselines.records import TENSORBOARD, Point, Record, append
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.files import make_folder
 from caterpillar_env.task import EPISODE_S, label
-from evolution.run.journal import fingerprint
+from evolution.run.records import fingerprint
 
 _LEAST_ROLLOUTS = 5  #: that bodies are to evolve in
 

@@ -135,6 +135,7 @@ class Robot:
     physics: Physics
     fitness_m: float | None = None  #: as recorded
     generation: int | None = None
+    evaluation: int | None = None  #: number in the journal of its run
 
     def simulate(self, timestep_s: float | None = None, **kwargs: Any) -> Outcomes:
         """Let it crawl once more, at its own timestep or another; keywords as for `simulate`."""
@@ -168,6 +169,7 @@ class Robot:
             "format": FORMAT,
             "fitness_m": self.fitness_m,
             "generation": self.generation,
+            "evaluation": self.evaluation,
             "morphology": (
                 body.to_dict() if isinstance(body, Morphology) else [m.to_dict() for m in body]
             ),
@@ -206,7 +208,14 @@ class Robot:
                 np.array([float(given[n]["on_s"]) for n in names]),
                 np.array([float(given[n]["off_s"]) for n in names]),
             )
-            return cls(body, timings, physics, data.get("fitness_m"), data.get("generation"))
+            return cls(
+                body,
+                timings,
+                physics,
+                data.get("fitness_m"),
+                data.get("generation"),
+                data.get("evaluation"),
+            )
         except CaterpillarError:
             raise
         except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -17,10 +17,10 @@ from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
 from evolution.optimizers.random_search import RandomSearch, Sampling
 from evolution.priors.distributions import Distribution, Uniform
 from evolution.priors.preprocessor import Clipping, paper_priors
+from evolution.run.objective import ObjectiveName
 
 OptimizerName = Literal["ga", "cma-es", "random"]
 Prior = Literal["preprocessed", "uniform", "init-only", "mutation-only", "mirrored"]
-Objective = Literal["distance", "distance-per-energy"]
 
 #: What optimizers and priors are, in words.
 OPTIMIZERS: dict[OptimizerName, str] = {
@@ -56,7 +56,7 @@ class RunConfig:
     prior: Prior = "preprocessed"  #: what genes are drawn from; init- and mutation-only are the GA's
     floor_ratio: float = 3.0  #: greatest over least density of a preprocessed gene
     clipping: Clipping = "truncated"  #: what becomes of a Gaussian beyond the bounds of its gene
-    objective: Objective = "distance"  #: what is maximised: m, or m per J of electrical energy
+    objective: ObjectiveName = "distance"  #: what is maximised: m, or m per J of electrical energy
     failed_fitness: float = 0.0  #: of a robot that fails, in the unit of the objective
     gait_period_s: float = GAIT_PERIOD_S  #: a whole multiple of 0.1; on and off times end with it
     sampling: Sampling = "independent"  #: how random search draws: one by one, or evenly spread
@@ -81,8 +81,8 @@ class RunConfig:
                 f"prior = {self.prior!r} is for the genetic algorithm alone; with "
                 f"{self.optimizer} choose preprocessed, uniform or mirrored"
             )
-        if not 0 <= self.failed_fitness < np.inf:
-            raise ConfigError(f"failed_fitness = {self.failed_fitness} must be finite and not negative")
+        if not np.isfinite(self.failed_fitness):
+            raise ConfigError(f"failed_fitness = {self.failed_fitness} must be a finite number")
         self.distributions()
 
     @classmethod
@@ -174,6 +174,6 @@ _CHOICES = {
     "genome": GenomeKind,
     "prior": Prior,
     "clipping": Clipping,
-    "objective": Objective,
+    "objective": ObjectiveName,
     "sampling": Sampling,
 }

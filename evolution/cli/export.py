@@ -15,7 +15,7 @@ from caterpillar_env.files import writing
 from caterpillar_env.model import model_xml
 from caterpillar_env.robot import Robot
 from evolution import cli
-from evolution.run.history import table
+from evolution.run.history import History
 
 Format = Literal["csv", "parquet", "json", "mjcf"]
 _ENDINGS: dict[str, Format] = {".csv": "csv", ".parquet": "parquet", ".json": "json", ".xml": "mjcf"}
@@ -67,7 +67,7 @@ def export_command(argv: Sequence[str]) -> int:
 
 
 def _write_table(args: ExportArgs) -> str:
-    rows = table(args.source)
+    rows = History.read(args.source).table()
     out = args.out or args.source / f"evaluations.{args.kind}"
     with writing(out), out.open("wb") as file:
         getattr(rows, f"write_{args.kind}")(file)

@@ -17,7 +17,7 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.robot import Robot
 from caterpillar_env.task import label
 from evolution import cli
-from evolution.run.history import leaders
+from evolution.run.history import History
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def _robots(args: ReplayArgs) -> list[tuple[str, Robot]]:
         unique = len(set(titles)) == len(titles)
         names = titles if unique else list(map(str, args.source))
         return [(name, Robot.load(path)) for name, path in zip(names, args.source, strict=True)]
-    best = leaders(args.source[0])
+    best = History.read(args.source[0]).leaders()
     last = len(best) - 1
     if max(args.generations) > last:
         print(f"{args.source[0]} ends with generation {last}, shown for later ones", file=sys.stderr)

@@ -11,8 +11,9 @@ import tyro
 
 from evolution import cli
 from evolution.cli.running import Reporter, WorkerArgs, finish
+from evolution.run.history import History
 from evolution.run.journal import Journal
-from evolution.run.loop import read_configuration, resume
+from evolution.run.loop import resume
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,7 @@ def resume_command(argv: Sequence[str]) -> int:
     if args.repair:
         kept = Journal.repair(args.folder)
         console.print(f"kept {kept} evaluations; the old file is journal.sqlite.damaged")
-    with Journal(args.folder) as journal:
-        config, _ = read_configuration(journal)
+    config = History.read(args.folder).config
     config = replace(config, generations=args.generations or config.generations)
     workers = args.workers
     with Reporter(config, console) as reporter, workers.following(reporter, args.folder) as told:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ from evolution.config import RunConfig
 from evolution.report.tensorboard import FOLDER as TENSORBOARD
 from evolution.report.tensorboard import TensorBoard
 from evolution.run.evaluators import Evaluator, LocalEvaluator, RayEvaluator
-from evolution.run.loop import Generation, RunResult, Told
+from evolution.run.history import Generation, History
 
 
 def check_threads(threads: int) -> None:
@@ -66,7 +66,7 @@ class WorkerArgs:
         )
 
     @contextmanager
-    def following(self, reporter: Reporter, folder: Path) -> Iterator[Told]:
+    def following(self, reporter: Reporter, folder: Path) -> Iterator[Callable[[Generation], None]]:
         """What a run tells its generations to."""
         if self.track == "nowhere" and not (folder / TENSORBOARD).is_dir():
             yield reporter.generation
@@ -123,7 +123,7 @@ class Reporter:
         self._bar.update(self._task, completed=self._done + share * self._step)
 
 
-def finish(result: RunResult, config: RunConfig, folder: Path, console: Console, *, video: bool) -> int:
+def finish(result: History, config: RunConfig, folder: Path, console: Console, *, video: bool) -> int:
     """Say why the run ended, and leave pictures of the best robot; the exit status."""
     status = 0 if result.finished else 130
     if not result.finished:
@@ -141,10 +141,10 @@ def picture(folder: Path, console: Console, *, video: bool) -> Path:
     from caterpillar_env.drawing.video import shows
     from evolution.report import run_page
 
-    record = run_page.Record.read(folder)
-    best = record.best
+    record = History.read(folder)
+    best = record.best_robot
     if best is None:
-        if record.generations():
+        if record.generations:
             console.print(f"no robot crawled forwards without failing; see caterpillar export {folder}")
     else:
         print(

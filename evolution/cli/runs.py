@@ -17,8 +17,8 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.robot import Robot
 from evolution import cli
 from evolution.run.database import JournalError, is_in_use
-from evolution.run.journal import FILE, Journal
-from evolution.run.loop import read_configuration
+from evolution.run.history import History
+from evolution.run.journal import FILE
 
 
 @dataclass(frozen=True)
@@ -58,17 +58,15 @@ def _summary(folder: Path) -> dict[str, Any]:
     )
     row["run"] = str(folder)
     try:
-        with Journal(folder, read_only=True) as journal:
-            config, own = read_configuration(journal)
-            evaluations = list(journal.evaluations())
-            finished = journal.finished
+        history = History.read(folder)
+        config, evaluations, finished = history.config, history.evaluations, history.finished
     except JournalError as error:
         row["state"] = str(error)
         return row
     done = 1 + evaluations[-1].generation if evaluations else 0
     row |= {
         "state": "running" if is_in_use(folder) else "finished" if finished else "stopped",
-        "optimizer": own.optimizer or config.optimizer,
+        "optimizer": history.own_optimizer or config.optimizer,
         "prior": config.prior,
         "seed": config.seed,
         "generation": f"{done} of {config.generations}" if config.budget_s is None else str(done),

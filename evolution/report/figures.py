@@ -17,7 +17,7 @@ from caterpillar_env.robot import Robot
 from caterpillar_env.sma import SmaState, advance
 from caterpillar_env.task import Failure
 from evolution.priors.preprocessor import GenePrior
-from evolution.run.loop import Generation
+from evolution.run.history import Generation
 
 _DPI = 120
 _WIDTH_IN = 6.0  # narrow, so that its text can be read on a telephone

@@ -6,7 +6,7 @@ import json
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 from matplotlib.figure import Figure
 
 from caterpillar_env.drawing.video import shows
-from caterpillar_env.robot import Robot
 from caterpillar_env.task import EPISODE_S, Failure
 from caterpillar_env.validation.gaits import measure
 from evolution.config import OPTIMIZERS, PRIORS, RunConfig
@@ -22,68 +21,10 @@ from evolution.genome import Gene, gene_values
 from evolution.priors.preprocessor import GenePrior, paper_priors
 from evolution.report import figures as draw
 from evolution.report.page import PageError, data_url, render
-from evolution.run.evaluators import CHUNK
-from evolution.run.journal import Evaluation, Journal, Session
-from evolution.run.loop import Generation, history, read_configuration
+from evolution.run.history import Generation, History
 
 PAGE = "report.html"
 LARGEST_VIDEO_BYTES = 16 * 2**20
-
-
-@dataclass(frozen=True)
-class Record:
-    """What a run folder holds."""
-
-    folder: Path
-    config: RunConfig
-    configuration: Mapping[str, Any]  #: as the journal has it: `config`, and what was the user's own
-    evaluations: list[Evaluation]
-    sessions: list[Session]
-    finished: bool
-    best: Robot | None  #: best.json; None as long as nobody has crawled
-
-    @classmethod
-    def read(cls, folder: Path) -> Record:
-        """The record of a run, finished or not.
-
-        Raises:
-            JournalError: no journal, damaged, or of a newer version.
-            RobotError: best.json is damaged.
-        """
-        with Journal(folder, read_only=True) as journal:
-            config, _ = read_configuration(journal)
-            return cls(
-                folder,
-                config,
-                journal.configuration,
-                list(journal.evaluations()),
-                journal.sessions,
-                journal.finished,
-                Robot.load(folder) if (folder / "best.json").exists() else None,
-            )
-
-    @property
-    def winner(self) -> Evaluation | None:
-        """The evaluation that `best` came out of; None if there is none (after a repair, say)."""
-        best = self.best
-        for e in self.evaluations if best is not None else ():
-            assert best is not None
-            if (e.generation, e.distance_m, e.failure) == (
-                best.generation, best.fitness_m, Failure.NONE,
-            ):  # fmt: skip
-                return e
-        return None
-
-    def generations(self) -> list[Generation]:
-        """The generations that are through.
-
-        A run that was stopped leaves whole chunks of its last one, of which no robot is in best.json.
-        """
-        rows = self.evaluations
-        last = rows[-1].generation if rows else 0
-        count = sum(e.generation == last for e in rows)
-        through = self.finished or count % CHUNK or (self.best and self.best.generation == last)
-        return history(self.config, rows if through else rows[: len(rows) - count])
 
 
 class GeneRow(NamedTuple):
@@ -111,14 +52,14 @@ def write(folder: Path) -> Path:
         RobotError: likewise.
         PageError: the folder cannot be written.
     """
-    record = Record.read(folder)
-    generations = record.generations()
+    record = History.read(folder)
+    generations = record.generations
     drawings: dict[str, Figure] = {}
     if generations:
         title = f"{folder.resolve().name}: {generations[-1].evaluations} evaluations"
         drawings["convergence"] = draw.convergence(generations, title)
-    if record.best is not None:
-        drawings["gait"] = draw.gait(record.best)
+    if record.best_robot is not None:
+        drawings["gait"] = draw.gait(record.best_robot)
     try:
         for name, figure in drawings.items():
             draw.save(figure, folder / f"{name}.png")
@@ -133,9 +74,9 @@ def write(folder: Path) -> Path:
     return path
 
 
-def page(record: Record, figures: Mapping[str, str]) -> str:
+def page(record: History, figures: Mapping[str, str]) -> str:
     """The text of the page, with figures (SVG elements) of `convergence` and `gait` where there are."""
-    config, generations = record.config, record.generations()
+    config, generations = record.config, record.generations
     reasons = Counter(e.failure.label for e in record.evaluations)
     video, no_video = _video(record)
     known = [s.wall_s for s in record.sessions if s.wall_s is not None]
@@ -167,9 +108,9 @@ def page(record: Record, figures: Mapping[str, str]) -> str:
         wall_s=sum(known),
         unknown_ends=len(record.sessions) - len(known),
         episode_s=EPISODE_S,
-        best=record.best,
-        gait=None if record.best is None else measure(record.best),
-        winner=record.winner,
+        best=record.best_robot,
+        gait=None if record.best_robot is None else measure(record.best_robot),
+        winner=record.best,
         figures=figures,
         video=video,
         no_video=no_video,
@@ -177,14 +118,14 @@ def page(record: Record, figures: Mapping[str, str]) -> str:
     )
 
 
-def gene_rows(record: Record) -> list[GeneRow]:
+def gene_rows(record: History) -> list[GeneRow]:
     """The genes of the best robot beside their bounds and what they are drawn from; none without one."""
-    if record.best is None:
+    if record.best_robot is None:
         return []
     config = record.config
     drawn = config.distributions("mutation" if config.prior == "mutation-only" else "init")
     said = paper_priors(config.encoding)
-    (best,) = gene_values([record.best.morphology], record.best.gaits)
+    (best,) = gene_values([record.best_robot.morphology], record.best_robot.gaits)
     values = best.tolist()
     return [
         _gene_row(replace(prior, distribution=d), value)
@@ -230,7 +171,7 @@ def _flat(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
             yield prefix + name, value
 
 
-def _ending(record: Record, config: RunConfig, generations: Sequence[Generation]) -> str | None:
+def _ending(record: History, config: RunConfig, generations: Sequence[Generation]) -> str | None:
     """Why a finished run ends with this configuration; None if it would go on, or is not finished."""
     if not record.finished or not generations:
         return None
@@ -238,7 +179,7 @@ def _ending(record: Record, config: RunConfig, generations: Sequence[Generation]
     return config.ending(len(generations), last.simulated_s, last.farthest_m)
 
 
-def _commands(record: Record, generations: Sequence[Generation]) -> list[tuple[str, str]]:
+def _commands(record: History, generations: Sequence[Generation]) -> list[tuple[str, str]]:
     """What can be done with the run, and why one would."""
     name = shlex.quote(record.folder.resolve().name)
     said = [
@@ -246,7 +187,7 @@ def _commands(record: Record, generations: Sequence[Generation]) -> list[tuple[s
         (f"caterpillar replay {name} --timestep-s 0.0005", "does it survive a finer timestep?"),
         (f"caterpillar replay {name} --generations 0 5 10 25 50", "the film of its evolution"),
         (f"caterpillar view {name}", "watch it in the browser, and change it by hand"),
-    ] * (record.best is not None)
+    ] * (record.best_robot is not None)
     said.append((f"caterpillar export {name}", "every evaluation as a table"))
     more = 2 * record.config.generations
     if record.configuration.get("own_optimizer") is None:
@@ -258,15 +199,15 @@ def _commands(record: Record, generations: Sequence[Generation]) -> list[tuple[s
     return said
 
 
-def _video(record: Record) -> tuple[str | None, str]:
+def _video(record: History) -> tuple[str | None, str]:
     """The film as a data URL, or None and why not."""
     path = record.folder / "best.mp4"
     again = f"caterpillar report {shlex.quote(record.folder.resolve().name)}"
-    if record.best is None:
+    if record.best_robot is None:
         return None, "There is no robot to film."
     if not path.exists():
         return None, f"best.mp4 was not made. {again} makes it, where this machine can draw."
-    if not shows(path, record.best):
+    if not shows(path, record.best_robot):
         return None, f"best.mp4 is of another robot than best.json. {again} makes it anew."
     size = path.stat().st_size
     if size > LARGEST_VIDEO_BYTES:

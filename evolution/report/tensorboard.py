@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from caterpillar_env.errors import CaterpillarError
-from evolution.run.loop import Generation
+from evolution.run.history import Generation
 
 FOLDER = "tensorboard"  #: within a run's folder
 

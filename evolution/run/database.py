@@ -1,16 +1,20 @@
-"""An SQLite file that loses nothing, and that one process at a time writes to."""
+"""SQLite files that one process at a time writes to: locks, connections, errors and digests."""
 
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from caterpillar_env.errors import CaterpillarError
+
+_LOCK_ATTEMPTS, _LOCK_WAIT_S = 10, 0.05
+_BUSY_S = 60.0  # how long to wait for another connection to finish reading
 
 
 class JournalError(CaterpillarError):
@@ -18,51 +22,11 @@ class JournalError(CaterpillarError):
 
 
 class JournalDamagedError(JournalError):
-    """A journal's file is damaged; what is whole can be kept (`Journal.repair`)."""
-
-
-def opened(path: Path, *, read_only: bool) -> sqlite3.Connection:
-    """A connection that loses nothing that it has committed."""
-    db = sqlite3.connect(path)
-    try:
-        if not read_only:
-            # A write-ahead log needs memory that all readers share, which other machines do not.
-            mode = "DELETE" if _file_system(path) in _NETWORKED else "WAL"
-            db.execute(f"PRAGMA journal_mode = {mode}")
-            db.execute("PRAGMA synchronous = FULL")
-    except sqlite3.DatabaseError as error:
-        db.close()
-        if "malformed" in str(error) or "not a database" in str(error):
-            raise JournalDamagedError(
-                f"{path} is damaged: {error}. `caterpillar resume {path.parent} --repair` keeps what is "
-                "whole"
-            ) from None
-        raise JournalError(f"cannot open {path}: {error}") from None
-    return db
-
-
-_NETWORKED = {
-    "nfs", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "lustre", "beegfs", "gpfs", "ceph",
-    "glusterfs", "fuse.glusterfs", "afs",
-}  # fmt: skip
-_MOUNTS = Path("/proc/self/mounts")
-
-
-def _file_system(path: Path) -> str:
-    """Kind of the file system that holds a path; empty where the system does not tell."""
-    try:
-        mounts = [line.split(" ")[1:3] for line in _MOUNTS.read_text("utf-8").splitlines()]
-    except OSError:
-        return ""
-    where = path.resolve()
-    holding = [
-        (len(place), kind) for place, kind in mounts if where.is_relative_to(place.replace("\\040", " "))
-    ]
-    return max(holding, default=(0, ""))[1]
+    """A journal's file is damaged; `Journal.repair` keeps what precedes the damage."""
 
 
 def is_in_use(folder: Path) -> bool:
-    """Whether a process has the journal open to write."""
+    """Whether a process has the journal of a folder open for writing."""
     try:
         with (folder / ".lock").open("r", encoding="utf-8") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -73,28 +37,60 @@ def is_in_use(folder: Path) -> bool:
     return False
 
 
-def locked(folder: Path) -> IO[str]:
-    """A lock that ends with this process, however it ends."""
-    with told(folder / ".lock"):
+def connect(path: Path, *, read_only: bool) -> sqlite3.Connection:
+    """Open an SQLite file so that committed rows survive a crash of the machine."""
+    db = sqlite3.connect(path, timeout=_BUSY_S)
+    try:
+        if not read_only:
+            db.execute("PRAGMA journal_mode = DELETE")  # a write-ahead log fails on network file systems
+            db.execute("PRAGMA synchronous = FULL")
+    except sqlite3.DatabaseError as error:
+        db.close()
+        if "malformed" in str(error) or "not a database" in str(error):
+            raise damaged(path, str(error)) from None
+        raise JournalError(f"cannot open {path}: {error}") from None
+    return db
+
+
+def lock(folder: Path) -> IO[str]:
+    """Lock a folder until the file is closed or the process ends."""
+    with explain_errors(folder / ".lock"):
         file = (folder / ".lock").open("w", encoding="utf-8")
-    for attempt in range(10):
+    for attempt in range(_LOCK_ATTEMPTS):  # `is_in_use` holds the lock for an instant
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return file
         except OSError:
-            if attempt < 9:
-                time.sleep(0.05)  # somebody who only looks has it for an instant
+            if attempt < _LOCK_ATTEMPTS - 1:
+                time.sleep(_LOCK_WAIT_S)
     file.close()
-    raise JournalError(f"another process is working on {folder}; wait for it, or stop it, and try again")
+    raise JournalError(f"another process is working on {folder}; wait until it ends, or stop it")
+
+
+def damaged(path: Path, why: str) -> JournalDamagedError:
+    """The error that reports damage and names the repair."""
+    return JournalDamagedError(
+        f"{path} is damaged: {why}. `caterpillar resume {path.parent} --repair` keeps the evaluations "
+        "before the damage and continues from there; the damaged file is kept beside it"
+    )
 
 
 @contextmanager
-def told(path: Path) -> Iterator[None]:
-    """Says plainly what keeps SQLite from reading or writing."""
+def explain_errors(path: Path) -> Iterator[None]:
+    """Turn errors of SQLite and of the file system into a `JournalError`."""
     try:
         yield
     except (sqlite3.OperationalError, OSError) as error:
         raise JournalError(
-            f"cannot read or write {path}: {error} (is the disk full?). What was finished is safe; make "
-            f"room and `caterpillar resume {path.parent}`"
+            f"cannot read or write {path}: {error} (is the disk full?). Recorded evaluations are safe; "
+            f"free some space and run `caterpillar resume {path.parent}`"
         ) from None
+
+
+def digest(values: Sequence[Any]) -> bytes:
+    """A digest of a row's values and their types."""
+    state = hashlib.blake2b(digest_size=8)
+    for value in values:
+        part = value if isinstance(value, bytes) else repr(value).encode()
+        state.update(len(part).to_bytes(4, "little") + part)
+    return state.digest()

@@ -1,83 +1,298 @@
-"""The record of a run, read: a table of its evaluations, and its best robots."""
+"""The history of a run: everything that its journal records, read in one place."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import time
+from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from caterpillar_env.robot import Robot
+from caterpillar_env.arrays import Array
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.robot import Outcomes, Robot
+from caterpillar_env.task import Failure
+from evolution.config import RunConfig
 from evolution.genome import gene_values
-from evolution.run.database import JournalError
-from evolution.run.journal import Journal, outcomes_of
-from evolution.run.loop import read_configuration
-from evolution.run.objective import scores
+from evolution.run.journal import Journal
+from evolution.run.objective import OBJECTIVES, Objective, distance, find_best, score
+from evolution.run.records import Completion, Evaluation, to_outcomes
 
 if TYPE_CHECKING:
     import polars
 
 
-def table(folder: Path) -> polars.DataFrame:
-    """A row per evaluation of a run: outcome, fitness as the optimizer was told it, genes in SI units.
+class RunError(CaterpillarError):
+    """A run cannot start, be resumed or be read as requested."""
 
-    Fitness by an objective of the user's own is in no journal, and empty.
 
-    Raises:
-        JournalError: no journal, damaged, or of a newer version.
+class Generation(NamedTuple):
+    """Summary of a completed generation."""
+
+    number: int
+    best_m: float  #: distance of the best robot so far; 0 if there is none
+    mean_m: float  #: mean distance of the genomes of this generation; a failure counts as 0
+    failures: dict[str, int]  #: number of genomes of this generation that failed, by failure
+    evaluations: int  #: of the run so far
+    simulated_s: float  #: of the run so far
+    elapsed_s: float  #: wall time since this session began
+    replayed: bool = False  #: whether all of its evaluations were in the journal already
+    farthest_m: float = 0.0  #: greatest distance so far of a robot that did not fail
+
+
+class History:
+    """The evaluations, generations and best robot of a run.
+
+    To read: `History.read(folder)`. To record each generation in turn: `replay` its known evaluations,
+    `append` the others, then `complete` it.
+
+    Args:
+        journal: open journal of the run.
+        objective: the user's own objective, if the run is driven by one.
     """
-    import polars
 
-    with Journal(folder, read_only=True) as journal:
-        config, own = read_configuration(journal)
-        rows = list(journal.evaluations())
-    encoding = config.encoding
-    names = [gene.name for gene in encoding.genes]
-    values = np.empty((0, len(names)))
-    if rows:
-        values = gene_values(*encoding.decode(np.array([e.genome for e in rows])))
-    outcomes = outcomes_of(rows)
-    columns: dict[str, Any] = {
-        "evaluation": np.array([e.number for e in rows], dtype=np.int64),
-        "generation": np.array([e.generation for e in rows], dtype=np.int64),
-        "failure": [e.failure.label for e in rows],
-        "fitness": scores(outcomes, config) if own.objective is None else [None] * len(rows),
-        "distance_m": outcomes.distance_m,
-        "energy_j": outcomes.energy_j,
-        "simulated_s": outcomes.simulated_s,
-        "session": np.array([e.session for e in rows], dtype=np.int64),
-    }
-    return polars.DataFrame(columns | {name: values[:, i] for i, name in enumerate(names)})
+    def __init__(self, journal: Journal, objective: Objective | None = None) -> None:
+        self._journal, self._objective = journal, objective
+        self._started = time.monotonic()
+        self.folder = journal.path.parent
+        self.configuration = journal.configuration
+        self.sessions = journal.sessions
+        self.finished = journal.finished
+        self.evaluations: list[Evaluation] = list(journal.evaluations())
+        self.generations: list[Generation] = []
+        self.best: Evaluation | None = None  #: see `objective.find_best`
+        self._best_objective = -np.inf
+        self._completions = journal.generations()
 
+    @classmethod
+    def read(cls, folder: Path | str) -> History:
+        """Read the journal of a run folder, also while another process writes to it.
 
-def leaders(folder: Path) -> list[Robot]:
-    """The best robot of a run so far after each of its generations; `generation` is its own.
+        Raises:
+            JournalError: there is no journal, it is damaged, or it has a newer schema.
+        """
+        with Journal(Path(folder), read_only=True) as journal:
+            history = cls(journal)
+        complete = len(history._completions)
+        if not complete and history.evaluations:  # schema 1 does not record the ends of generations
+            complete = history.evaluations[-1].generation + history.finished
+        for _ in range(complete):
+            history._advance(replayed=True)
+        return history
 
-    As long as nobody has crawled forwards without failing, it is the one that came furthest.
+    @property
+    def kind(self) -> str:
+        """The kind of run: "evolution", or "training" by reinforcement learning."""
+        return str(self.configuration.get("kind", "evolution"))
 
-    Raises:
-        JournalError: no journal, damaged, of a newer version, or without any evaluation.
-    """
-    with Journal(folder, read_only=True) as journal:
-        config, _ = read_configuration(journal)
-        rows = list(journal.evaluations())
-    if not rows:
-        raise JournalError(f"{folder} holds no evaluations yet; `caterpillar resume {folder}` goes on")
-    outcomes = outcomes_of(rows)
-    crawled = scores(outcomes, replace(config, failed_fitness=0.0))
-    merits = list(zip(crawled.tolist(), outcomes.distance_m.tolist(), strict=True))
-    fitness_m = outcomes.fitness()
-    best, found = 0, []
-    for number, row in enumerate(rows):
-        if merits[number] > merits[best]:
-            best = number
-        if number + 1 == len(rows) or rows[number + 1].generation != row.generation:
-            found.append(
-                config.encoding.robot(
-                    rows[best].genome,
-                    fitness_m=float(fitness_m[best]),
-                    generation=rows[best].generation,
-                )
+    @cached_property
+    def config(self) -> RunConfig:
+        """The configuration of an evolutionary run.
+
+        Raises:
+            RunError: the folder holds a training.
+        """
+        if self.kind != "evolution":
+            raise RunError(
+                f"{self.folder} holds a {self.kind}, not an evolutionary run; use `caterpillar rl`"
             )
-    return found
+        data = {k: v for k, v in self.configuration.items() if not k.startswith("own_")}
+        return RunConfig.from_dict(data)
+
+    @property
+    def own_optimizer(self) -> str | None:
+        """Name of the user's own optimizer, if one drove the run."""
+        return self.configuration.get("own_optimizer")
+
+    @property
+    def own_objective(self) -> str | None:
+        """Name of the user's own objective, if the run maximised one."""
+        return self.configuration.get("own_objective")
+
+    @property
+    def simulated_s(self) -> float:
+        """Simulated seconds of the completed generations."""
+        return self.generations[-1].simulated_s if self.generations else 0.0
+
+    @property
+    def farthest_m(self) -> float:
+        """Greatest distance of a robot that did not fail, in m; 0 if there is none."""
+        return self.generations[-1].farthest_m if self.generations else 0.0
+
+    @property
+    def wall_s(self) -> float | None:
+        """Wall time in s of a run that ended in its first session, else None."""
+        return self.sessions[0].wall_s if self.sessions else None
+
+    @property
+    def best_robot(self) -> Robot | None:
+        """The best robot so far; None if no robot qualified, see `objective.find_best`."""
+        return None if self.best is None else self.robot(self.best)
+
+    def robot(self, evaluation: Evaluation) -> Robot:
+        """The robot of an evaluation, with its record."""
+        fitness_m = float(to_outcomes([evaluation]).fitness()[0])
+        return self.config.encoding.robot(
+            evaluation.genome, fitness_m=fitness_m, generation=evaluation.generation,
+            evaluation=evaluation.number,
+        )  # fmt: skip
+
+    def leaders(self) -> list[Robot]:
+        """The best robot so far after each completed generation.
+
+        Before any robot qualifies as the best, it is the one that got farthest.
+
+        Raises:
+            RunError: no generation is complete.
+        """
+        if not self.generations:
+            raise RunError(
+                f"{self.folder} has no completed generation; continue with "
+                f"`caterpillar resume {self.folder}`"
+            )
+        leaders = []
+        for generation in self.generations:
+            best = self._completions[generation.number].best
+            known = self.evaluations[: generation.evaluations]
+            farthest = max(known, key=lambda e: e.distance_m)
+            leaders.append(self.robot(farthest if best is None else self.evaluations[best]))
+        return leaders
+
+    def table(self) -> polars.DataFrame:
+        """One row per evaluation: outcome, fitness and all genes in SI units.
+
+        The fitness is null where the run maximised the user's own objective, which is not recorded.
+        """
+        import polars
+
+        names = [gene.name for gene in self.config.encoding.genes]
+        values = np.empty((0, len(names)))
+        if self.evaluations:
+            genomes = np.array([e.genome for e in self.evaluations])
+            values = gene_values(*self.config.encoding.decode(genomes))
+        outcomes = to_outcomes(self.evaluations)
+        fitness: Any = [None] * len(self.evaluations)
+        if self.own_objective is None:
+            fitness = score(OBJECTIVES[self.config.objective], outcomes, self.config.failed_fitness)
+        columns: dict[str, Any] = {
+            "evaluation": np.array([e.number for e in self.evaluations], dtype=np.int64),
+            "generation": np.array([e.generation for e in self.evaluations], dtype=np.int64),
+            "failure": [e.failure.label for e in self.evaluations],
+            "fitness": fitness,
+            "distance_m": outcomes.distance_m,
+            "energy_j": outcomes.energy_j,
+            "simulated_s": outcomes.simulated_s,
+            "session": np.array([e.session for e in self.evaluations], dtype=np.int64),
+        }
+        return polars.DataFrame(columns | {name: values[:, i] for i, name in enumerate(names)})
+
+    def replay(self, genomes: Array) -> int:
+        """Number of genomes (P, n) of the next generation that are in the journal already.
+
+        Raises:
+            RunError: the journal has other genomes in this place.
+        """
+        known = self._rows(len(self.generations))
+        for evaluation, genome in zip(known, genomes, strict=False):
+            if not np.array_equal(evaluation.genome, genome):
+                raise RunError(
+                    f"evaluation {evaluation.number} in {self._journal.path} is of another genome than "
+                    "the optimizer proposes now. The package or NumPy has changed since, or the journal "
+                    "belongs to another run. Install the versions in its table `sessions`, or start a "
+                    "new run"
+                )
+        return len(known)
+
+    def append(self, genomes: Array, outcomes: Outcomes) -> None:
+        """Record evaluations of the next generation: genomes (P, n) in [0, 1] and their outcomes."""
+        first, generation = len(self.evaluations), len(self.generations)
+        columns = (column.tolist() for column in outcomes)
+        rows = [
+            Evaluation(
+                first + i, generation, genome, Failure(failure), distance_m, energy_j, simulated_s, 0
+            )
+            for i, (genome, failure, distance_m, energy_j, simulated_s) in enumerate(
+                zip(genomes, *columns, strict=True)
+            )
+        ]
+        self.evaluations += self._journal.append(rows)
+
+    def complete(self, *, replayed: bool = False) -> Outcomes:
+        """Complete the next generation; the outcomes of its genomes.
+
+        The end of the generation is recorded, and the best robot is written to best.json if it changed.
+
+        Args:
+            replayed: whether all of its evaluations were in the journal already.
+        """
+        number, before = len(self.generations), self.best
+        known = number < len(self._completions)
+        outcomes = self._advance(replayed=replayed)
+        if not known:
+            self._journal.complete(self._completions[number])
+        if self.best is not None and self.kind == "evolution":
+            file = self.folder / "best.json"
+            if (not known and self.best is not before) or not file.exists():
+                self.robot(self.best).save(file)
+        return outcomes
+
+    def finish(self) -> None:
+        """Record that the run has ended."""
+        self._journal.finish()
+        self.finished, self.sessions = True, self._journal.sessions
+
+    def _rows(self, generation: int) -> list[Evaluation]:
+        first = self.generations[-1].evaluations if self.generations else 0
+        rows = []
+        for evaluation in self.evaluations[first:]:
+            if evaluation.generation != generation:
+                break
+            rows.append(evaluation)
+        return rows
+
+    def _find_completion(self, rows: Sequence[Evaluation]) -> Completion:
+        """The end of the next generation, which consists of these evaluations."""
+        objective = self._objective or distance
+        if self._objective is None and self.kind == "evolution":
+            objective = OBJECTIVES[self.config.objective]
+        best, value = self.best, self._best_objective
+        found = find_best(objective, to_outcomes(rows))
+        if found is not None and found[1] > value:
+            best, value = rows[found[0]], found[1]
+        end = rows[-1].number + 1
+        if best is None:
+            return Completion(len(self.generations), end, None, None)
+        return Completion(len(self.generations), end, best.number, value)
+
+    def _advance(self, *, replayed: bool) -> Outcomes:
+        """Take the next generation, all of which is evaluated, into account; its outcomes."""
+        number = len(self.generations)
+        rows = self._rows(number)
+        if number == len(self._completions):
+            self._completions.append(self._find_completion(rows))
+        completion = self._completions[number]
+        if completion.best is not None and completion.objective is not None:
+            self.best = self.evaluations[completion.best]
+            self._best_objective = completion.objective
+        outcomes = to_outcomes(rows)
+        crawled_m = outcomes.fitness()
+        counts = np.bincount(outcomes.failure, minlength=len(Failure))
+        self.generations.append(
+            Generation(
+                number=number,
+                best_m=0.0 if self.best is None else max(self.best.distance_m, 0.0),
+                mean_m=float(crawled_m.mean()),
+                failures={f.label: int(counts[f]) for f in Failure if f is not Failure.NONE},
+                evaluations=completion.evaluations,
+                simulated_s=self.simulated_s + float(outcomes.simulated_s.sum()),
+                elapsed_s=time.monotonic() - self._started,
+                replayed=replayed,
+                farthest_m=max(self.farthest_m, float(crawled_m.max())),
+            )
+        )
+        return outcomes
+
+
+load = History.read

@@ -1,40 +1,46 @@
-"""The journal of a run: one SQLite file with the configuration and every evaluation, in their order.
+"""The journal of a run: one SQLite file with the configuration and every evaluation, in order.
 
-Tables (readable with any SQLite tool; docs/runs.md describes the columns):
+Tables (any SQLite tool can read them; docs/runs.md describes the columns):
 
 - `run`: one row, the configuration as JSON.
-- `sessions`: a row each time that the run was started or resumed, with the versions that it ran under.
-- `evaluations`: a row for each genome, committed as chunks finish; `digest` tells a damaged row.
+- `sessions`: one row each time the run was started or resumed, with the versions it ran under.
+- `evaluations`: one row per genome, committed in chunks.
+- `generations`: one row per completed generation, with the best evaluation so far.
 
-Nothing of an optimizer is kept: a run is resumed by asking it anew and answering from here.
+Each row of the last two tables carries a digest, which detects damage. The state of the optimizer is not
+stored: a run is resumed by replaying it from the journal.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
-import platform
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from datetime import datetime
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from caterpillar_env.arrays import Array
-from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure, label
-from evolution.run.database import JournalDamagedError, JournalError, locked, opened, told
+from evolution.run.database import JournalError, connect, damaged, digest, explain_errors, lock
+from evolution.run.records import Completion, Evaluation, Session, fingerprint
 
 FILE = "journal.sqlite"
-SCHEMA = 1
+SCHEMA = 2  #: 1 had no table `generations`
 _APPLICATION = 0x43415450  # "CATP"
 
-_TABLES = """
+_GENERATIONS = """
+CREATE TABLE generations (
+    generation INTEGER PRIMARY KEY,
+    evaluations INTEGER NOT NULL,
+    best INTEGER REFERENCES evaluations,
+    objective REAL,
+    digest BLOB NOT NULL
+);
+"""
+_TABLES = f"""
 CREATE TABLE run (configuration TEXT NOT NULL);
 CREATE TABLE sessions (
     session INTEGER PRIMARY KEY,
@@ -53,99 +59,47 @@ CREATE TABLE evaluations (
     session INTEGER NOT NULL REFERENCES sessions,
     digest BLOB NOT NULL
 );
+{_GENERATIONS}
 """
 
 
-class Evaluation(NamedTuple):
-    """One genome and what became of it."""
-
-    number: int  #: in the order of asking, from 0
-    generation: int
-    genome: Array  #: in [0, 1], (n,)
-    failure: Failure
-    distance_m: float
-    energy_j: float
-    simulated_s: float
-    session: int
-
-
-class Session(NamedTuple):
-    """One time that a run was started or resumed."""
-
-    number: int  #: from 1
-    started: str  #: date and time, UTC
-    finished: str | None  #: likewise, None where the run did not come to its end in it
-    fingerprint: dict[str, str]  #: what it ran under, see `fingerprint`
-
-    @property
-    def wall_s(self) -> float | None:
-        """Wall time in s, to the second; None where nobody noted the end."""
-        if self.finished is None:
-            return None
-        return (
-            datetime.fromisoformat(self.finished) - datetime.fromisoformat(self.started)
-        ).total_seconds()
-
-
-def outcomes_of(evaluations: Sequence[Evaluation]) -> Outcomes:
-    """What became of recorded genomes, as the evaluator told it."""
-    return Outcomes(
-        np.array([e.failure for e in evaluations], dtype=np.int8),
-        np.array([e.distance_m for e in evaluations], dtype=np.float64),
-        np.array([e.energy_j for e in evaluations], dtype=np.float64),
-        np.array([e.simulated_s for e in evaluations], dtype=np.float64),
-    )
-
-
-def fingerprint() -> dict[str, str]:
-    """What the bits of a result depend on besides the configuration."""
-    packages = ("caterpillar-sma", "mujoco", "numpy", "scipy", "cma")
-    return {
-        **{name: version(name) for name in packages},
-        "python": platform.python_version(),
-        "machine": platform.machine(),
-    }
-
-
 class Journal:
-    """The open journal of one run; no other process can open it to write at the same time.
+    """The open journal of one run. Only one process at a time can open it for writing.
 
     Args:
         folder: the run folder.
-        read_only: only to look at it, which a process that writes may go on doing meanwhile.
+        read_only: open for reading, also while another process writes.
 
     Raises:
-        JournalError: there is none, it is in use, or of a newer version.
-        JournalDamagedError: its file is damaged.
+        JournalError: there is no journal, another process is writing to it, or it has a newer schema.
+        JournalDamagedError: the file is damaged.
     """
 
     def __init__(self, folder: Path, *, read_only: bool = False) -> None:
-        self.path = folder / FILE
-        if not self.path.is_file():
-            raise JournalError(
-                f"{folder} holds no {FILE}: it is no run folder; give one that caterpillar evolve made"
-            )
-        self._lock = None if read_only else locked(folder)
+        self.path = _find(folder)
+        self._lock = None if read_only else lock(folder)
+        self._session = 0
         try:
-            self._db = opened(self.path, read_only=read_only)
+            self._db = connect(self.path, read_only=read_only)
             self._check()
+            if not read_only and self._schema == 1:
+                self._upgrade()
         except BaseException:
-            if self._lock is not None:
-                self._lock.close()
+            self._unlock()
             raise
 
     @classmethod
-    def create(cls, folder: Path, configuration: dict[str, Any]) -> Journal:
-        """A new journal in a folder that has none.
+    def create(cls, folder: Path, configuration: Mapping[str, Any]) -> Journal:
+        """Create and open the journal of a new run.
 
         Raises:
-            JournalError: there is one already, or the folder cannot be written.
+            JournalError: the folder has a journal already, or cannot be written.
         """
         path = folder / FILE
         if path.exists():
             raise JournalError(f"{path} exists already; resume that run, or choose another folder")
         partial = path.with_name(f".{FILE}.partial")
-        with told(path):
+        with explain_errors(path):
             partial.unlink(missing_ok=True)
             with closing(sqlite3.connect(partial)) as db, db:
                 db.executescript(
@@ -153,7 +107,7 @@ class Journal:
                     f"{_TABLES} COMMIT;"
                 )
                 db.execute("INSERT INTO run VALUES (?)", [json.dumps(configuration)])
-            os.replace(partial, path)  # a journal is whole, or not there
+            os.replace(partial, path)  # the journal appears complete or not at all
         return cls(folder)
 
     def __enter__(self) -> Journal:
@@ -163,191 +117,203 @@ class Journal:
         self.close()
 
     def close(self) -> None:
-        """Give the file free for others."""
+        """Close the file and release the lock."""
         self._db.close()
+        self._unlock()
+
+    def _unlock(self) -> None:
         if self._lock is not None:
             self._lock.close()
 
     def _check(self) -> None:
         try:
             (application,) = self._db.execute("PRAGMA application_id").fetchone()
-            (schema,) = self._db.execute("PRAGMA user_version").fetchone()
+            (self._schema,) = self._db.execute("PRAGMA user_version").fetchone()
             problems = [row[0] for row in self._db.execute("PRAGMA quick_check(3)")]
         except sqlite3.DatabaseError as error:
-            raise self._damaged(str(error)) from None
+            raise damaged(self.path, str(error)) from None
         if application != _APPLICATION:
             raise JournalError(
-                f"{self.path} is an SQLite file of something else; give a folder that caterpillar "
-                "evolve made"
+                f"{self.path} is an SQLite file of another program; give a folder that caterpillar made"
             )
-        if schema > SCHEMA:
+        if self._schema > SCHEMA:
             raise JournalError(
-                f"{self.path} was written by a newer version of this package (schema {schema}, this one "
-                f"knows {SCHEMA}); install that version"
+                f"{self.path} was written by a newer version of this package (schema {self._schema}; "
+                f"this version reads up to {SCHEMA}): install the newer version"
             )
         if problems != ["ok"]:
-            raise self._damaged("; ".join(problems))
+            raise damaged(self.path, "; ".join(problems))
         for _ in self.evaluations():
             pass
 
-    def _damaged(self, why: str) -> JournalDamagedError:
-        return JournalDamagedError(
-            f"{self.path} is damaged: {why}. `caterpillar resume {self.path.parent} --repair` keeps the "
-            f"evaluations before the damage and goes on from there (the file stays beside it)"
-        )
+    def _upgrade(self) -> None:
+        with explain_errors(self.path):
+            self._db.executescript(f"BEGIN; PRAGMA user_version = {SCHEMA}; {_GENERATIONS} COMMIT;")
+        self._schema = SCHEMA
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """The run's configuration, as it was given to `create`."""
-        with told(self.path):
+        """The configuration of the run, as given to `create` or `configure`."""
+        with explain_errors(self.path):
             (text,) = self._db.execute("SELECT configuration FROM run").fetchone()
         data: dict[str, Any] = json.loads(text)
         return data
 
-    def configure(self, configuration: dict[str, Any]) -> None:
-        """Put another configuration in the place of the first: one with more generations, say."""
-        with told(self.path), self._db:
+    def configure(self, configuration: Mapping[str, Any]) -> None:
+        """Replace the configuration, for example by one with more generations."""
+        with explain_errors(self.path), self._db:
             self._db.execute("UPDATE run SET configuration = ?", [json.dumps(configuration)])
 
     @property
     def sessions(self) -> list[Session]:
-        """Each time that the run was started or resumed, in turn."""
-        with told(self.path):
+        """All sessions, in order."""
+        with explain_errors(self.path):
             rows = self._db.execute(
                 "SELECT session, started, finished, fingerprint FROM sessions ORDER BY session"
             ).fetchall()
         return [Session(n, start, end, json.loads(text)) for n, start, end, text in rows]
 
-    def begin(self) -> int:
-        """Note a new session; its number."""
-        with told(self.path), self._db:
+    def begin(self, packages: Sequence[str] = ()) -> None:
+        """Begin a session; evaluations belong to it from now on.
+
+        Args:
+            packages: names of packages whose versions matter besides those of `fingerprint`.
+        """
+        with explain_errors(self.path), self._db:
             row = self._db.execute(
                 "INSERT INTO sessions (started, fingerprint) VALUES (datetime('now'), ?)",
-                [json.dumps(fingerprint())],
+                [json.dumps(fingerprint(packages))],
             )
-        assert row.lastrowid is not None
-        return row.lastrowid
+        self._session = row.lastrowid or 0
 
-    def finish(self, session: int) -> None:
-        """Note that the run came to its end in this session."""
-        with told(self.path), self._db:
+    def finish(self) -> None:
+        """Record that the run ended in this session."""
+        with explain_errors(self.path), self._db:
             self._db.execute(
-                "UPDATE sessions SET finished = datetime('now') WHERE session = ?", [session]
+                "UPDATE sessions SET finished = datetime('now') WHERE session = ?", [self._session]
             )
 
     @property
     def finished(self) -> bool:
-        """Whether the last session came to the end of the run."""
+        """Whether the run ended in its last session."""
         return any(s.finished is not None for s in self.sessions[-1:])
 
-    @property
-    def wall_s(self) -> float | None:
-        """Wall time of a run that was finished in its first session, s, to the second; else None."""
-        return next((s.wall_s for s in self.sessions), None)
-
-    def append(
-        self, first: int, generation: int, genomes: Array, outcomes: Outcomes, session: int
-    ) -> None:
-        """Add evaluations `first`, `first` + 1, ...: all of them or, after a crash, none.
+    def append(self, evaluations: Sequence[Evaluation]) -> list[Evaluation]:
+        """Add evaluations: all of them or, after a crash, none. Returns them with their session.
 
         Raises:
-            JournalError: the disk is full or cannot be written; the journal is as it was before.
+            JournalError: the file cannot be written, for example because the disk is full; the journal
+                is unchanged.
         """
+        added = [e._replace(session=self._session) for e in evaluations]
         rows = []
-        for i, genome in enumerate(np.asarray(genomes, dtype="<f8")):
+        for e in added:
+            genome = np.asarray(e.genome, dtype="<f8").tobytes()
             values = (
-                first + i,
-                generation,
-                genome.tobytes(),
-                label(outcomes.failure[i]),
-                float(outcomes.distance_m[i]),
-                float(outcomes.energy_j[i]),
-                float(outcomes.simulated_s[i]),
-                session,
-            )
-            rows.append((*values, _digest(values)))
-        with told(self.path), self._db:
-            self._db.executemany(f"INSERT INTO evaluations VALUES ({', '.join('?' * 9)})", rows)
+                e.number, e.generation, genome, label(e.failure), float(e.distance_m),
+                float(e.energy_j), float(e.simulated_s), e.session,
+            )  # fmt: skip
+            rows.append((*values, digest(values)))
+        self._insert("evaluations", rows)
+        return added
+
+    def complete(self, completion: Completion) -> None:
+        """Record the end of a generation."""
+        self._insert("generations", [(*completion, digest(completion))])
+
+    def _insert(self, table: str, rows: Sequence[Sequence[Any]]) -> None:
+        if rows:
+            with explain_errors(self.path), self._db:
+                places = ", ".join("?" * len(rows[0]))
+                self._db.executemany(f"INSERT INTO {table} VALUES ({places})", rows)
 
     def evaluations(self) -> Iterator[Evaluation]:
-        """All evaluations in their order.
+        """All evaluations, in order.
 
         Raises:
-            JournalDamagedError: at the first one that is missing or not as it was written.
+            JournalDamagedError: at the first one that is missing or altered.
         """
-        expected = 0
+        for number, values in enumerate(self._read("evaluations", "evaluation")):
+            if values[0] != number:
+                raise damaged(self.path, f"evaluation {number} is missing")
+            _, generation, genome, failure, distance_m, energy_j, simulated_s, session = values
+            genes = np.frombuffer(genome, dtype="<f8").astype(np.float64)
+            yield Evaluation(
+                number, generation, genes, _FAILURES[failure], distance_m, energy_j, simulated_s, session
+            )
+
+    def generations(self) -> list[Completion]:
+        """The completed generations, in order; empty for a file with schema 1.
+
+        Raises:
+            JournalDamagedError: a row was altered.
+        """
+        if self._schema == 1:
+            return []
+        return [Completion(*values) for values in self._read("generations", "generation")]
+
+    def _read(self, table: str, key: str) -> Iterator[tuple[Any, ...]]:
+        """The rows of a table without their digests, which are checked."""
+        count = 0
         try:
-            for *values, digest in self._db.execute("SELECT * FROM evaluations ORDER BY evaluation"):
-                if values[0] != expected or digest != _digest(tuple(values)):
-                    raise self._damaged(f"evaluation {expected} is not as it was written")
-                yield _evaluation(values)
-                expected += 1
+            for *values, stored in self._db.execute(f"SELECT * FROM {table} ORDER BY {key}"):
+                if stored != digest(tuple(values)):
+                    raise damaged(self.path, f"{key} {count} was altered")
+                yield tuple(values)
+                count += 1
         except sqlite3.DatabaseError as error:
-            raise self._damaged(f"evaluation {expected} cannot be read ({error})") from None
+            raise damaged(self.path, f"{key} {count} cannot be read ({error})") from None
 
     @classmethod
     def repair(cls, folder: Path) -> int:
-        """Keep what is whole of a damaged journal: the evaluations before the first damage.
+        """Keep the evaluations that precede the first damage.
 
-        The damaged file stays as `journal.sqlite.damaged`.
+        The damaged file is kept as `journal.sqlite.damaged`. Completed generations are recorded again
+        when the run is resumed.
 
         Returns:
-            How many evaluations were kept.
+            Number of evaluations kept.
 
         Raises:
-            JournalError: not even the configuration can be read.
+            JournalError: the configuration cannot be read.
         """
-        path = folder / FILE
-        if not path.is_file():
-            raise JournalError(
-                f"{folder} holds no {FILE}: it is no run folder; give one that caterpillar evolve made"
-            )
-        lock = locked(folder)
+        path = _find(folder)
         kept: list[tuple[Any, ...]] = []
-        try:
-            db = sqlite3.connect(path)
-            # Else a file that lacks its end is not read at all.
-            db.execute("PRAGMA writable_schema = ON")
-            (configuration,) = db.execute("SELECT configuration FROM run").fetchone()
-            sessions = db.execute("SELECT * FROM sessions ORDER BY session").fetchall()
-            json.loads(configuration)
+        with closing(lock(folder)):
             try:
-                for row in db.execute("SELECT * FROM evaluations ORDER BY evaluation"):
-                    if row[0] != len(kept) or row[-1] != _digest(row[:-1]):
-                        break
-                    kept.append(row)
-            except sqlite3.DatabaseError:
-                pass  # the damage begins here
-            db.close()
-            for suffix in ("", "-wal", "-shm"):
-                old = path.with_name(FILE + suffix)
-                if old.exists():
-                    old.replace(path.with_name(f"{FILE}.damaged{suffix}"))
-        except (sqlite3.DatabaseError, TypeError, ValueError):
-            raise JournalError(
-                f"{path} is damaged where its configuration lies: nothing can be kept, start anew"
-            ) from None
-        finally:
-            lock.close()
-        with cls.create(folder, json.loads(configuration)) as journal, told(path), journal._db as db:
-            db.executemany("INSERT INTO sessions VALUES (?, ?, ?, ?)", sessions)
-            db.executemany(f"INSERT INTO evaluations VALUES ({', '.join('?' * 9)})", kept)
+                with closing(sqlite3.connect(path)) as db:
+                    db.execute("PRAGMA writable_schema = ON")  # reads a truncated file too
+                    (configuration,) = db.execute("SELECT configuration FROM run").fetchone()
+                    sessions = db.execute("SELECT * FROM sessions ORDER BY session").fetchall()
+                    settings = json.loads(configuration)
+                    try:
+                        for row in db.execute("SELECT * FROM evaluations ORDER BY evaluation"):
+                            if row[0] != len(kept) or row[-1] != digest(row[:-1]):
+                                break
+                            kept.append(row)
+                    except sqlite3.DatabaseError:
+                        pass  # the damage begins here
+                for suffix in ("", "-wal", "-shm", "-journal"):
+                    old = path.with_name(FILE + suffix)
+                    if old.exists():
+                        old.replace(path.with_name(f"{FILE}.damaged{suffix}"))
+            except (sqlite3.DatabaseError, TypeError, ValueError):
+                raise JournalError(
+                    f"the configuration in {path} is damaged: nothing can be kept; start a new run"
+                ) from None
+        with cls.create(folder, settings) as journal:
+            journal._insert("sessions", sessions)
+            journal._insert("evaluations", kept)
         return len(kept)
 
 
-def _evaluation(values: Sequence[Any]) -> Evaluation:
-    number, generation, genome, name, distance_m, energy_j, simulated_s, session = values
-    failure = next(f for f in Failure if f.label == name)
-    return Evaluation(
-        number, generation, np.frombuffer(genome, dtype="<f8").astype(np.float64), failure,
-        distance_m, energy_j, simulated_s, session,
-    )  # fmt: skip
+_FAILURES = {failure.label: failure for failure in Failure}
 
 
-def _digest(values: Sequence[Any]) -> bytes:
-    """Of a row's values, each with its type and every bit; a flipped one changes it."""
-    state = hashlib.blake2b(digest_size=8)
-    for value in values:
-        part = value if isinstance(value, bytes) else repr(value).encode()
-        state.update(len(part).to_bytes(4, "little") + part)
-    return state.digest()
+def _find(folder: Path) -> Path:
+    path = folder / FILE
+    if not path.is_file():
+        raise JournalError(
+            f"{folder} is not a run folder: it contains no {FILE}; give a folder that caterpillar made"
+        )
+    return path

@@ -24,9 +24,9 @@ from caterpillar_env.task import Failure
 from evolution.config import RunConfig
 from evolution.run.database import JournalError
 from evolution.run.evaluators import LocalEvaluator
-from evolution.run.history import table
-from evolution.run.journal import FILE, Journal
-from evolution.run.loop import evolve, read_configuration, resume
+from evolution.run.history import History
+from evolution.run.journal import FILE
+from evolution.run.loop import evolve, resume
 
 _FOREVER = 1_000_000  # generations: the budget ends a run
 
@@ -169,10 +169,10 @@ class EvolutionArm:
             shutil.rmtree(folder, ignore_errors=True)  # begun, but nothing evaluated
             result = evolve(config, folder, evaluator=LocalEvaluator(1))
         else:
-            with Journal(folder, read_only=True) as journal:
-                _same_settings(journal, config, folder)
-                if journal.finished:
-                    return
+            history = History.read(folder)
+            _same_settings(history, config, folder)
+            if history.finished:
+                return
             result = resume(folder, evaluator=LocalEvaluator(1))
         if not result.finished:
             raise ArmError(f"{folder} was interrupted; it goes on when the study is started again")
@@ -182,9 +182,9 @@ class EvolutionArm:
         if not (folder / FILE).exists():
             return False
         try:
-            with Journal(folder, read_only=True) as journal:
-                _same_settings(journal, self.run_config(seed, budget_s), folder)
-                return journal.finished
+            history = History.read(folder)
+            _same_settings(history, self.run_config(seed, budget_s), folder)
+            return history.finished
         except JournalError:
             return False  # whoever runs it will say why
 
@@ -203,22 +203,19 @@ class EvolutionArm:
 
     def evaluations(self, folder: Path) -> polars.DataFrame:
         """See `Arm`."""
-        return table(folder).drop("session", "fitness")
+        return History.read(folder).table().drop("session", "fitness")
 
     def wall_s(self, folder: Path) -> float | None:
         """See `Arm`."""
-        with Journal(folder, read_only=True) as journal:
-            return journal.wall_s
+        return History.read(folder).wall_s
 
     def versions(self, folder: Path) -> list[dict[str, str]]:
         """See `Arm`."""
-        with Journal(folder, read_only=True) as journal:
-            return [session.fingerprint for session in journal.sessions]
+        return [session.fingerprint for session in History.read(folder).sessions]
 
     def best(self, folder: Path, budget_s: float) -> Robot | None:
         """See `Arm`."""
-        with Journal(folder, read_only=True) as journal:
-            rows = list(journal.evaluations())
+        rows = History.read(folder).evaluations
         spent_s = np.cumsum([row.simulated_s for row in rows])
         able = [
             row
@@ -233,9 +230,8 @@ class EvolutionArm:
         )
 
 
-def _same_settings(journal: Journal, config: RunConfig, folder: Path) -> None:
-    before, _ = read_configuration(journal)
-    if before != config:
+def _same_settings(history: History, config: RunConfig, folder: Path) -> None:
+    if history.config != config:
         raise ArmError(
             f"{folder} was run with other settings; choose another folder for the study, or remove it"
         )

@@ -11,8 +11,7 @@ import polars
 import pytest
 
 from caterpillar_env.robot import Robot
-from evolution.report.run_page import Record
-from evolution.run.history import table
+from evolution.run.history import load
 
 RUN = """
 import sys
@@ -76,9 +75,9 @@ def test_killed_at_random_points_equals_uninterrupted(tmp_path, optimizer, kills
         worker.wait()
     assert process(broken, optimizer).wait() == 0
 
-    assert table(broken).drop("session").equals(table(whole).drop("session"))
+    assert load(broken).table().drop("session").equals(load(whole).table().drop("session"))
     assert Robot.load(broken).to_dict() == Robot.load(whole).to_dict()
-    assert table(broken)["session"].n_unique() > 3
+    assert load(broken).table()["session"].n_unique() > 3
     # Nothing is evaluated twice but the chunk of four that was in flight at each kill.
     assert evaluated(broken) <= evaluated(whole) + 4 * kills
 
@@ -88,7 +87,7 @@ def test_killed_at_random_points_equals_uninterrupted(tmp_path, optimizer, kills
 def test_killed_on_the_way_to_its_target_ends_there_and_stays(tmp_path, optimizer):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert process(whole, optimizer).wait() == 0
-    told = Record.read(whole).generations()
+    told = load(whole).generations
     target_m = told[8].farthest_m
     number = next(g.number for g in told if g.farthest_m >= target_m)
     rng = np.random.default_rng(1)
@@ -101,10 +100,10 @@ def test_killed_on_the_way_to_its_target_ends_there_and_stays(tmp_path, optimize
         worker.kill()  # or it is at its target already
         assert worker.wait() in (0, -signal.SIGKILL)
     assert process(broken, optimizer, target_m).wait() == 0
-    assert table(broken)["session"].n_unique() > 1
-    expected = table(whole).filter(polars.col("generation") <= number)
-    assert table(broken).drop("session").equals(expected.drop("session"))
-    assert Record.read(broken).finished
+    assert load(broken).table()["session"].n_unique() > 1
+    expected = load(whole).table().filter(polars.col("generation") <= number)
+    assert load(broken).table().drop("session").equals(expected.drop("session"))
+    assert load(broken).finished
     before = evaluated(broken)
     assert process(broken, optimizer, target_m).wait() == 0
     assert evaluated(broken) == before

@@ -14,9 +14,8 @@ from caterpillar_env.task import Failure
 from evolution import cli
 from evolution.config import RunConfig
 from evolution.optimizers.ga import GaConfig
-from evolution.run.database import JournalError
 from evolution.run.evaluators import LocalEvaluator
-from evolution.run.history import leaders, table
+from evolution.run.history import History, RunError, load
 from evolution.run.journal import FILE, Journal
 from evolution.run.loop import evolve
 
@@ -51,7 +50,7 @@ def test_exported_tables_hold_every_bit(runs, tmp_path, kind, read, capsys):
     out = tmp_path / f"rows.{kind}"
     assert cli.main(["export", str(runs / "done"), "--to", kind, "--out", str(out)]) == 0
     assert "5 evaluations in" in capsys.readouterr().err
-    assert read(out).equals(table(runs / "done"))
+    assert read(out).equals(load(runs / "done").table())
 
 
 def test_export_goes_beside_the_journal_and_best_robot_is_in_it(runs):
@@ -138,8 +137,8 @@ def test_no_runs_is_no_error(tmp_path, capsys):
 
 
 def test_leaders_are_the_best_so_far_and_crawl_as_recorded(runs):
-    rows = table(runs / "done")
-    found = leaders(runs / "done")
+    rows = load(runs / "done").table()
+    found = load(runs / "done").leaders()
     assert len(found) == CONFIG.generations
     for number, leader in enumerate(found):
         so_far = rows.filter(polars.col("generation") <= number)
@@ -160,17 +159,18 @@ def test_as_long_as_all_fail_the_one_that_came_furthest_leads(tmp_path):
     )  # fmt: skip
     config = replace(CONFIG, failed_fitness=0.1)  # which makes nobody a leader
     with Journal.create(tmp_path, config.to_dict()) as journal:
-        session = journal.begin()
+        journal.begin()
+        history = History(journal)
         for generation in range(3):
             part = slice(2 * generation, 2 * generation + 2)
-            some = Outcomes(*(field[part] for field in outcomes))
-            journal.append(2 * generation, generation, genomes[part], some, session)
-    fitness_m = [leader.fitness_m for leader in leaders(tmp_path)]
+            history.append(genomes[part], Outcomes(*(field[part] for field in outcomes)))
+            history.complete()
+    fitness_m = [leader.fitness_m for leader in load(tmp_path).leaders()]
     assert fitness_m == [0.0, 0.0, 0.002]
-    assert [leader.generation for leader in leaders(tmp_path)] == [0, 1, 2]
+    assert [leader.generation for leader in load(tmp_path).leaders()] == [0, 1, 2]
 
 
 def test_run_without_evaluations_has_no_leaders(tmp_path):
     Journal.create(tmp_path, {**CONFIG.to_dict(), "own_optimizer": None}).close()
-    with pytest.raises(JournalError, match="holds no evaluations yet; `caterpillar resume"):
-        leaders(tmp_path)
+    with pytest.raises(RunError, match=r"has no completed generation; .* `caterpillar resume"):
+        load(tmp_path).leaders()

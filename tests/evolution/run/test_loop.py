@@ -19,10 +19,10 @@ from evolution.optimizers.ga import GaConfig
 from evolution.optimizers.random_search import RandomSearch
 from evolution.priors.distributions import ClampedGaussian, TruncatedGaussian, Uniform
 from evolution.run.evaluators import EvaluationError, LocalEvaluator
-from evolution.run.history import table
+from evolution.run.history import RunError, load
 from evolution.run.journal import Journal, fingerprint
-from evolution.run.loop import Own, RunError, evolve, history, read_configuration, resume
-from evolution.run.objective import ObjectiveError, scores
+from evolution.run.loop import evolve, resume
+from evolution.run.objective import ObjectiveError
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
 #: So stiff, and so coarsely stepped, that every robot's integration breaks down at once.
@@ -40,11 +40,11 @@ ONE = LocalEvaluator(threads=1)
 
 
 def rows(folder):
-    return table(folder).to_dicts()
+    return load(folder).table().to_dicts()
 
 
 def column(folder, name):
-    return table(folder)[name].to_numpy()
+    return load(folder).table()[name].to_numpy()
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +68,7 @@ def test_a_run_evaluates_everybody_once_and_elites_never_again(run):
 def test_generations_out_of_the_record_are_those_that_were_told(run):
     folder, result = run
     best = (folder / "best.json").stat().st_mtime_ns
-    with Journal(folder, read_only=True) as journal:
-        found = history(CONFIG, list(journal.evaluations()))
+    found = load(folder).generations
     assert all(g.replayed for g in found)
     known = {"elapsed_s": 0.0, "replayed": True}
     assert [g._replace(**known) for g in found] == [g._replace(**known) for g in result.generations]
@@ -78,7 +77,7 @@ def test_generations_out_of_the_record_are_those_that_were_told(run):
 
 def test_columns_are_the_outcome_and_all_genes_by_name(run):
     folder, _ = run
-    assert table(folder).columns == [
+    assert load(folder).table().columns == [
         "evaluation", "generation", "failure", "fitness", "distance_m", "energy_j", "simulated_s",
         "session", *NAMES,
         "gap1_dorsal_on_s", "gap1_dorsal_off_s", "gap1_ventral_on_s", "gap1_ventral_off_s",
@@ -108,7 +107,7 @@ def test_best_robot_is_the_first_of_the_best_rows(run):
     assert best.morphology.to_dict() == {name: row[name] for name in NAMES}
     assert best.timings.on_s[1] == row["gap1_ventral_on_s"]
     assert best.physics == SHORT
-    assert best.to_dict() == result.best.to_dict()
+    assert best.to_dict() == result.best_robot.to_dict()
 
 
 def test_best_fitness_never_gets_worse(run):
@@ -135,8 +134,10 @@ def test_generations_are_told_as_they_are_recorded(run):
 
 def test_configuration_is_kept_whole(run):
     folder, _ = run
-    with Journal(folder) as journal:
-        assert read_configuration(journal) == (CONFIG, Own())
+    history = load(folder)
+    assert history.config == CONFIG
+    assert history.own_optimizer is None
+    assert history.own_objective is None
 
 
 def test_a_run_leaves_just_its_record(run):
@@ -151,7 +152,7 @@ def test_a_run_leaves_just_its_record(run):
 def test_equal_seeds_give_equal_bits_at_any_number_of_threads(run, tmp_path, threads):
     folder, _ = run
     evolve(CONFIG, tmp_path, evaluator=LocalEvaluator(threads))
-    assert table(tmp_path).equals(table(folder))
+    assert load(tmp_path).table().equals(load(folder).table())
     assert (tmp_path / "best.json").read_bytes() == (folder / "best.json").read_bytes()
 
 
@@ -188,7 +189,7 @@ def test_interrupt_keeps_the_finished_generations(tmp_path):
     assert not result.finished
     assert [g.number for g in result.generations] == [0, 1]
     assert column(tmp_path, "generation").tolist() == [0, 0, 1]
-    assert Robot.load(tmp_path).to_dict() == result.best.to_dict()
+    assert Robot.load(tmp_path).to_dict() == result.best_robot.to_dict()
 
 
 def test_interrupt_within_a_generation_leaves_no_part_of_it(tmp_path):
@@ -235,9 +236,8 @@ def test_scores_are_metres_or_metres_a_joule():
         np.array([0, Failure.TIPPED, 0, 0]), np.array([0.06, 0.5, -0.1, 0.02]),
         np.array([3.0, 1.0, 2.0, 0.0]), np.full(4, 30.0),
     )  # fmt: skip
-    config = RunConfig(failed_fitness=0.001)
-    assert scores(outcomes, config).tolist() == [0.06, 0.001, 0.0, 0.02]
-    per_energy = scores(outcomes, replace(config, objective="distance-per-energy"))
+    assert score(OBJECTIVES["distance"], outcomes, 0.001).tolist() == [0.06, 0.001, 0.0, 0.02]
+    per_energy = score(OBJECTIVES["distance-per-energy"], outcomes, 0.001)
     assert per_energy.tolist() == [0.02, 0.001, 0.0, 0.0]  # whoever draws nothing earns nothing
 
 
@@ -420,24 +420,34 @@ def test_interrupted_and_resumed_equals_uninterrupted(tmp_path, settings):
     again = resume(tmp_path / "broken", evaluator=ONE)
     assert again.finished
     assert [g.replayed for g in again.generations] == [True, True, False, False]
-    assert table(tmp_path / "broken").drop("session").equals(table(tmp_path / "whole").drop("session"))
-    assert again.best.to_dict() == whole.best.to_dict()
+    assert (
+        load(tmp_path / "broken")
+        .table()
+        .drop("session")
+        .equals(load(tmp_path / "whole").table().drop("session"))
+    )
+    assert again.best_robot.to_dict() == whole.best_robot.to_dict()
 
 
 def test_a_finished_run_is_gone_through_again_without_evaluating(run, tmp_path):
     folder, result = run
-    before = table(folder)
+    before = load(folder).table()
     again = resume(folder, evaluator=None)
     assert all(g.replayed for g in again.generations)
-    assert table(folder).equals(before)
-    assert again.best.to_dict() == result.best.to_dict()
+    assert load(folder).table().equals(before)
+    assert again.best_robot.to_dict() == result.best_robot.to_dict()
 
 
 def test_a_run_can_be_made_longer_and_not_shorter(tmp_path):
     evolve(TINY, tmp_path / "short", evaluator=ONE)
     longer = resume(tmp_path / "short", generations=5, evaluator=ONE)
     evolve(replace(TINY, generations=5), tmp_path / "long", evaluator=ONE)
-    assert table(tmp_path / "short").drop("session").equals(table(tmp_path / "long").drop("session"))
+    assert (
+        load(tmp_path / "short")
+        .table()
+        .drop("session")
+        .equals(load(tmp_path / "long").table().drop("session"))
+    )
     assert len(longer.generations) == 5
     with pytest.raises(RunError, match="a run can only be made longer: generations is 5"):
         resume(tmp_path / "short", generations=3)
@@ -457,10 +467,10 @@ def test_generation_of_which_a_part_is_known_is_completed(tmp_path, monkeypatch)
 
     assert not evolve(CONFIG, tmp_path / "part", evaluator=Dies(1)).finished
     assert seen == [2]
-    assert len(table(tmp_path / "part")) == 2
+    assert len(load(tmp_path / "part").table()) == 2
     again = resume(tmp_path / "part", evaluator=ONE)
-    assert again.best.to_dict() == whole.best.to_dict()
-    assert table(tmp_path / "part")["session"].to_list() == [1, 1, 2, 2, 2, 2, 2, 2]
+    assert again.best_robot.to_dict() == whole.best_robot.to_dict()
+    assert load(tmp_path / "part").table()["session"].to_list() == [1, 1, 2, 2, 2, 2, 2, 2]
 
 
 def test_genome_that_differs_in_replay_is_an_error_that_says_so(tmp_path):
@@ -495,9 +505,9 @@ def test_a_record_of_before_there_were_targets_goes_on_with_elites_that_breed(ru
         del before["target_m"]
         journal.configure(before)
     assert resume(tmp_path / "part", generations=3, evaluator=ONE).finished
-    part, whole = table(tmp_path / "part"), table(tmp_path / "whole")
+    part, whole = load(tmp_path / "part").table(), load(tmp_path / "whole").table()
     assert part.drop("session").equals(whole.drop("session"))
-    assert not whole.equals(table(run[0]))  # whose elites do not breed
+    assert not whole.equals(load(run[0]).table())  # whose elites do not breed
 
 
 class Halves:
@@ -521,7 +531,12 @@ def test_an_optimizer_from_elsewhere_drives_a_run_and_its_resumption(tmp_path):
     with pytest.raises(RunError, match=r"an optimizer of your own \(Halves\)"):
         resume(tmp_path / "part")
     resume(tmp_path / "part", generations=3, evaluator=ONE, optimizer=Halves(12))
-    assert table(tmp_path / "part").drop("session").equals(table(tmp_path / "whole").drop("session"))
+    assert (
+        load(tmp_path / "part")
+        .table()
+        .drop("session")
+        .equals(load(tmp_path / "whole").table().drop("session"))
+    )
 
 
 def thrift(outcomes):
@@ -531,11 +546,11 @@ def thrift(outcomes):
 
 def test_an_objective_of_ones_own_decides_who_is_best(tmp_path):
     result = evolve(CONFIG, tmp_path / "run", evaluator=ONE, objective=thrift)
-    data = table(tmp_path / "run").filter(failure="ok")
+    data = load(tmp_path / "run").table().filter(failure="ok")
     laziest = data.sort("energy_j", "evaluation").to_dicts()[0]
     assert data["distance_m"].max() > laziest["distance_m"]
-    assert result.best.fitness_m == laziest["distance_m"]
-    assert result.best.generation == laziest["generation"]
+    assert result.best_robot.fitness_m == laziest["distance_m"]
+    assert result.best_robot.generation == laziest["generation"]
 
 
 def test_an_objective_of_ones_own_is_told_to_the_optimizer(tmp_path):
@@ -547,7 +562,7 @@ def test_an_objective_of_ones_own_is_told_to_the_optimizer(tmp_path):
 
     config = RunConfig(generations=2, physics=SHORT, failed_fitness=7.0)
     evolve(config, tmp_path / "run", evaluator=ONE, optimizer=Hears(12), objective=thrift)
-    data = table(tmp_path / "run")
+    data = load(tmp_path / "run").table()
     expected = [1000 - r["energy_j"] if r["failure"] == "ok" else 7.0 for r in data.to_dicts()]
     assert told == expected
 
@@ -558,11 +573,12 @@ def test_a_run_with_an_objective_of_ones_own_goes_on_with_it_alone(tmp_path):
     with pytest.raises(RunError, match=r"an objective of your own \(thrift\); .*objective=\.\.\."):
         resume(tmp_path / "part", generations=3)
     resume(tmp_path / "part", generations=3, evaluator=ONE, objective=thrift)
-    part, whole = table(tmp_path / "part"), table(tmp_path / "whole")
+    part, whole = load(tmp_path / "part").table(), load(tmp_path / "whole").table()
     assert part.drop("session").equals(whole.drop("session"))
     assert part["fitness"].null_count() == len(part)
-    with Journal(tmp_path / "part") as journal:
-        assert read_configuration(journal) == (CONFIG, Own(objective="thrift"))
+    history = load(tmp_path / "part")
+    assert history.config == CONFIG
+    assert (history.own_optimizer, history.own_objective) == (None, "thrift")
 
 
 @pytest.mark.parametrize(
@@ -574,7 +590,7 @@ def test_a_run_with_an_objective_of_ones_own_goes_on_with_it_alone(tmp_path):
     ],
 )
 def test_an_objective_that_gives_no_fitness_is_refused(tmp_path, objective):
-    with pytest.raises(ObjectiveError, match=r"must give 4 finite numbers, .* shape \(4,\); got"):
+    with pytest.raises(ObjectiveError, match=r"must return 4 finite numbers, .* shape \(4,\); got"):
         evolve(CONFIG, tmp_path / "run", evaluator=ONE, objective=objective)
 
 
@@ -590,4 +606,4 @@ def test_an_exception_in_evaluation_stops_the_run_with_the_genome(tmp_path, monk
         evolve(config, tmp_path, evaluator=ONE)
     genome = json.loads(str(told.value).split("The genome was ")[1])
     assert len(genome) == 12
-    assert len(table(tmp_path)) == 0
+    assert len(load(tmp_path).table()) == 0

@@ -21,9 +21,9 @@ from evolution.optimizers.cma_es import CmaConfig
 from evolution.optimizers.ga import GaConfig
 from evolution.report import run_page
 from evolution.run.evaluators import LocalEvaluator
-from evolution.run.history import table
+from evolution.run.history import load
 from evolution.run.journal import FILE, Journal
-from evolution.run.loop import evolve, read_configuration, resume
+from evolution.run.loop import evolve, resume
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
 ONE = LocalEvaluator(threads=1)
@@ -55,7 +55,7 @@ class Whole:
 
 
 def recorded(folder):
-    return table(folder).drop("session")
+    return load(folder).table().drop("session")
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +81,8 @@ def test_a_run_ends_with_the_first_generation_that_reaches_its_target(whole, tmp
     assert result.finished
     assert [g.number for g in result.generations] == [*range(found.number + 1)]
     assert recorded(tmp_path).equals(found.until_target)
-    with Journal(tmp_path) as journal:
-        assert journal.finished
-        assert read_configuration(journal)[0] == found.targeted
+    assert load(tmp_path).finished
+    assert load(tmp_path).config == found.targeted
     ended = found.targeted.ending(found.number + 1, 0.0, result.generations[-1].farthest_m)
     assert f"was reached in generation {found.number}, " in ended
 
@@ -130,7 +129,7 @@ def test_a_generation_in_which_the_target_is_reached_is_completed(whole, tmp_pat
         before = len(recorded(tmp_path))
         result = resume(tmp_path, evaluator=Stops(1))
         assert len(recorded(tmp_path)) > before
-    assert table(tmp_path)["session"].n_unique() > 4
+    assert load(tmp_path).table()["session"].n_unique() > 4
     assert recorded(tmp_path).equals(found.until_target)
     assert [g.number for g in result.generations] == [*range(found.number + 1)]
 
@@ -157,7 +156,7 @@ def test_a_run_at_its_target_evaluates_nothing_more(reached, tmp_path, generatio
     again = resume(folder, generations=generations, evaluator=ONE)
     assert again.finished
     assert [g.replayed for g in again.generations] == [True]
-    assert table(folder).equals(table(reached))
+    assert load(folder).table().equals(load(reached).table())
     assert (folder / "best.json").read_bytes() == best
     with Journal(folder) as journal:
         assert journal.finished
@@ -194,7 +193,7 @@ def test_evolve_and_the_page_say_why_a_run_ended(tmp_path, capsys):
 def test_a_run_that_missed_its_target_says_so_and_can_go_on(tmp_path, whole):
     config = replace(whole("ga").config, generations=1, target_m=9.0)
     evolve(config, tmp_path / "run", evaluator=ONE)
-    page = run_page.page(run_page.Record.read(tmp_path / "run"), {})
+    page = run_page.page(load(tmp_path / "run"), {})
     assert "the last generation is through; the target of 9000 mm was not reached" in page
     assert "caterpillar resume run --generations 2" in page
 
@@ -238,7 +237,7 @@ def test_a_failure_reaches_no_target_and_the_objective_does_not_matter(tmp_path)
         config = replace(asked, target_m=target_m)
         result = evolve(config, tmp_path / str(target_m), evaluator=Told(outcomes))
         assert len(result.generations) == expected
-        assert result.best.fitness_m == 0.1
+        assert result.best_robot.fitness_m == 0.1
         assert result.generations[-1].farthest_m == 0.2
 
 

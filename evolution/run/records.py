@@ -1,0 +1,72 @@
+"""The rows of a journal: evaluations, completed generations and sessions."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from datetime import datetime
+from importlib.metadata import version
+from typing import NamedTuple
+
+import numpy as np
+
+from caterpillar_env.arrays import Array
+from caterpillar_env.robot import Outcomes
+from caterpillar_env.task import Failure
+
+_PACKAGES = ("caterpillar-sma", "mujoco", "numpy", "scipy", "cma")
+
+
+class Evaluation(NamedTuple):
+    """One genome and its outcome."""
+
+    number: int  #: counts all evaluations of the run from 0
+    generation: int
+    genome: Array  #: in [0, 1], (n,)
+    failure: Failure
+    distance_m: float
+    energy_j: float
+    simulated_s: float
+    session: int
+
+
+class Completion(NamedTuple):
+    """The end of a generation."""
+
+    generation: int
+    evaluations: int  #: of the run up to here
+    best: int | None  #: number of the best evaluation so far
+    objective: float | None  #: its objective
+
+
+class Session(NamedTuple):
+    """One start or resumption of a run."""
+
+    number: int  #: from 1
+    started: str  #: date and time, UTC
+    finished: str | None  #: likewise; None if the run did not end in this session
+    fingerprint: dict[str, str]  #: versions and machine, see `fingerprint`
+
+    @property
+    def wall_s(self) -> float | None:
+        """Wall time in s, to the second; None if the end was not recorded."""
+        if self.finished is None:
+            return None
+        start, end = datetime.fromisoformat(self.started), datetime.fromisoformat(self.finished)
+        return (end - start).total_seconds()
+
+
+def fingerprint(packages: Sequence[str] = ()) -> dict[str, str]:
+    """The versions and the machine type that results depend on; `packages` names additional ones."""
+    versions = {name: version(name) for name in (*_PACKAGES, *packages)}
+    return versions | {"python": platform.python_version(), "machine": platform.machine()}
+
+
+def to_outcomes(evaluations: Sequence[Evaluation]) -> Outcomes:
+    """The outcomes of P recorded evaluations as arrays, (P,)."""
+    return Outcomes(
+        np.array([e.failure for e in evaluations], dtype=np.int8),
+        np.array([e.distance_m for e in evaluations], dtype=np.float64),
+        np.array([e.energy_j for e in evaluations], dtype=np.float64),
+        np.array([e.simulated_s for e in evaluations], dtype=np.float64),
+    )
