@@ -8,10 +8,6 @@ environment for `gymnasium.make_vec`.
 from importlib import import_module as _import_module
 from typing import Any
 
-from caterpillar_env.drawing import backend as _backend
-
-_backend.choose()
-
 import gymnasium as _gymnasium
 
 from caterpillar_env.errors import (

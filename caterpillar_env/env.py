@@ -11,8 +11,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from caterpillar_env.drawing.backend import has_display
-from caterpillar_env.drawing.pictures import Pictures
-from caterpillar_env.drawing.rendering import View, drawn
+from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.episodes import Episodes, check_options
 from caterpillar_env.errors import SimulationError
 from caterpillar_env.morphology import Morphology
@@ -262,7 +261,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     def _draw(self, mode: str) -> Any:
         if not self._running:
             raise SimulationError("call reset() before render()")
-        return drawn(lambda: self._pictures.draw(0, mode))
+        return self._pictures.draw(0, mode)
 
 
 def _first(info: dict[str, NDArray[Any]]) -> dict[str, Any]:

@@ -12,8 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.drawing.pictures import Pictures
-from caterpillar_env.drawing.rendering import View, drawn
+from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.episodes import Episodes, check_options, morphologies_for
 from caterpillar_env.errors import SimulationError
@@ -209,7 +208,8 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         """One picture per row, or None without a render mode or where nothing can be drawn."""
         if self.render_mode is None:
             return None
-        return drawn(lambda: tuple(self._pictures.draw(i, "rgb_array") for i in range(self.num_envs)))
+        frames = tuple(self._pictures.draw(row, "rgb_array") for row in range(self.num_envs))
+        return None if frames[0] is None else frames
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the drawing contexts."""

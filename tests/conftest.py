@@ -1,6 +1,28 @@
-"""What tests of several packages need."""
+"""Fixtures and markers that tests of several packages use."""
 
+from functools import cache
+
+import numpy as np
 import pytest
+
+
+@cache
+def can_draw():
+    from caterpillar_env import Morphology, Physics
+    from caterpillar_env.drawing.rendering import RenderingError, RobotRenderer, View
+
+    renderer = RobotRenderer(Morphology(), Physics(), View(8, 8))
+    try:
+        renderer.draw(renderer.model.qpos0, np.full(12, 25.0), "rgb_array")
+    except RenderingError:
+        return False
+    renderer.close()
+    return True
+
+
+def pytest_runtest_setup(item):
+    if item.get_closest_marker("drawing") and not can_draw():
+        pytest.skip("this machine cannot draw")
 
 
 @pytest.fixture(scope="module")

@@ -1,34 +1,34 @@
-"""Pictures of a robot: springs coloured by temperature, feet that touch the ground marked, a ruler."""
+"""Draw robots: springs coloured by temperature, feet on the ground marked, a ruler beside them."""
 
 from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
-import glfw
 import gymnasium
 import mujoco
 import numpy as np
-from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
+from mujoco.rendering.classic import gl_context
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.drawing.backend import INSTALL_DRAWING
+from caterpillar_env.drawing.backend import INSTALL_DRAWING, choose_backend
 from caterpillar_env.drawing.overlay import CONTACT_RGB, PATH_RGB, Readout, annotate, spring_rgb
 from caterpillar_env.drawing.scenery import CAMERAS, RULER
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.ground import clearances_m, half_axes_m, touching_geoms
-from caterpillar_env.sma import SmaSpring
+from caterpillar_env.model import build_model
+from caterpillar_env.morphology import Body, length_m, segments_of
+from caterpillar_env.physics import Physics
+from caterpillar_env.task import Crawl
 
-T = TypeVar("T")
-
-#: What kept the first picture from being drawn; to try a broken backend again may end the process.
-_why_not: str | None = None
+#: Why this machine cannot draw, once that is known: trying a broken backend again may crash Python.
+unavailable: str | None = None
 
 _CONTACT_RGBA = np.array([*CONTACT_RGB, 0.85])
 _PATH_RGBA = np.array([*PATH_RGB, 1.0])
@@ -39,34 +39,20 @@ _PATH_STEP_M = 0.002
 
 
 class RenderingError(CaterpillarError):
-    """Nothing can be drawn here, or not as asked."""
-
-
-def drawn(draw: Callable[[], T]) -> T | None:
-    """What `draw` gives; None where this machine cannot draw, which is warned of once."""
-    try:
-        return draw()
-    except RenderingError as error:
-        _warn(str(error))
-        return None
-
-
-@cache
-def _warn(text: str) -> None:
-    gymnasium.logger.warn(text)
+    """This machine cannot draw, or a picture cannot have the requested size or camera."""
 
 
 @dataclass(frozen=True)
 class View:
-    """What a picture shows.
+    """Size and camera of a picture.
 
     Raises:
-        RenderingError: a size that is no positive whole number, or a camera that does not exist.
+        RenderingError: a size is not a positive integer, or the camera does not exist.
     """
 
     width: int = 640  #: pixels
     height: int = 480  #: pixels
-    camera_name: str | None = "track"  #: one of `scenery.CAMERAS`; None for a free one
+    camera_name: str | None = "track"  #: one of `scenery.CAMERAS`, or None for a free camera
     camera_config: dict[str, Any] | None = None  #: attributes of the free camera
 
     def __post_init__(self) -> None:
@@ -80,31 +66,31 @@ class View:
             )
 
 
-def _mend() -> str:
-    if os.environ.get("MUJOCO_GL", "disabled") in ("disabled", "osmesa", "egl"):
-        return f"{INSTALL_DRAWING}; `caterpillar doctor` tells more"
-    return "to draw without a display, export MUJOCO_GL=egl; `caterpillar doctor` tells more"
-
-
 class RobotRenderer:
-    """Draws one robot; make a new one when the body changes.
+    """Draws one robot. Make a new renderer for another body.
 
     Args:
-        model: the robot with scenery; its colours and the ruler's place are changed.
-        data: a pose of it, whose derived fields are computed here.
-        spring: gives the temperatures' meaning.
+        body: the robot's body.
+        physics: its physics.
         view: size and camera.
+        view_length_m: length of the body that the cameras leave room for; that of `body` by default.
     """
 
     def __init__(
         self,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        spring: SmaSpring,
+        body: Body,
+        physics: Physics,
         view: View | None = None,
+        *,
+        view_length_m: float | None = None,
     ) -> None:
-        self._model, self._data, self._spring = model, data, spring
+        self.body = body
+        self.model = model = build_model(body, physics)
+        self._data = mujoco.MjData(model)
+        self._spring = physics.spring
         self._view = view = view or View()
+        if view_length_m is not None:
+            model.cam_poscom0[:] *= view_length_m / length_m(segments_of(body, physics.num_segments))
         model.vis.global_.offwidth, model.vis.global_.offheight = view.width, view.height
         if view.camera_config is not None or view.camera_name is None:
             self._camera: str | mujoco.MjvCamera = mujoco.MjvCamera()
@@ -117,28 +103,24 @@ class RobotRenderer:
         else:
             self._camera = view.camera_name
         self._option = mujoco.MjvOption()
-        self._option.sitegroup[:] = 0  # the springs show their ends
+        self._option.sitegroup[:] = 0  # hide the sites at the springs' ends
         names = [model.geom(i).name for i in range(model.ngeom)]
         self._feet = np.array([i for i, name in enumerate(names) if name.startswith("foot")])
         self._parts, self._half_axes = touching_geoms(model), half_axes_m(model)
         self._foot_rgba = model.geom_rgba[self._feet].copy()
         self._ruler = model.geom(RULER).id
-        # Its zero is where the centre of mass starts: it then reads the distance.
+        # The ruler's zero is where the centre of mass starts, so that the ruler shows the distance.
         model.geom_pos[self._ruler, 0] += self.centre_of_mass(model.qpos0)[0]
-        self._path: list[Array] = []
-        self._picture: mujoco.Renderer | None = None
-        self._window: MujocoRenderer | None = None
+        self.path: list[Array] = []  #: of the centre of mass, m, points of shape (3,)
+        self._canvas: mujoco.Renderer | None = None
+        self._window: Any = None
 
     def centre_of_mass(self, qpos: Array) -> Array:
-        """Of the whole robot in a pose qpos (nq,): x, y and z in m, (3,)."""
+        """Return the centre of mass of the robot in pose `qpos` (nq,): x, y and z in m, (3,)."""
         self._data.qpos[:] = qpos
-        mujoco.mj_forward(self._model, self._data)
-        middle: Array = self._data.subtree_com[1].copy()
-        return middle
-
-    def forget_path(self) -> None:
-        """Begin the path anew: another episode."""
-        self._path = []
+        mujoco.mj_forward(self.model, self._data)
+        centre: Array = self._data.subtree_com[1].copy()
+        return centre
 
     def draw(
         self, qpos: Array, temperature_c: Array, mode: str, readout: Readout | None = None
@@ -150,72 +132,79 @@ class RobotRenderer:
             temperature_c: of the springs, (springs,).
             mode: "rgb_array", "depth_array" or "human".
             readout: written on a colour picture, with a legend and the path of the centre of mass
-                through all poses that were drawn so.
+                through all poses drawn with a readout since `path` was last cleared.
 
         Returns:
-            (height, width, 3) uint8; in depth mode (height, width) float32, m along the view; None for a
-            window.
+            (height, width, 3) uint8; in depth mode (height, width) float32, m along the view; None for
+            a window.
 
         Raises:
-            RenderingError: no way of drawing works on this machine.
+            RenderingError: this machine cannot draw.
         """
-        middle = self.centre_of_mass(qpos)
-        self._data.geom_xpos[self._ruler, 1] += middle[1]  # it stays beside a robot that veers
-        touching = self._touching()
-        self._model.tendon_rgba[:, :3] = spring_rgb(self._spring, temperature_c)
-        self._model.geom_rgba[self._feet] = self._foot_rgba
-        self._model.geom_rgba[np.intersect1d(self._feet, touching), :3] = CONTACT_RGB
+        centre = self.centre_of_mass(qpos)
+        self._data.geom_xpos[self._ruler, 1] += centre[1]  # keep the ruler beside a robot that veers
+        above_m = clearances_m(
+            self._data.geom_xpos[self._parts], self._data.geom_xmat[self._parts], self._half_axes
+        )
+        touching = self._parts[above_m < _TOUCHING_M]
+        self.model.tendon_rgba[:, :3] = spring_rgb(self._spring, temperature_c)
+        self.model.geom_rgba[self._feet] = self._foot_rgba
+        self.model.geom_rgba[np.intersect1d(self._feet, touching), :3] = CONTACT_RGB
         if mode == "human":
             self._show()
             return None
-        picture = self._ready()
-        picture.update_scene(self._data, self._camera, self._option)
+        canvas = self._open_canvas()
+        canvas.update_scene(self._data, self._camera, self._option)
         if mode == "depth_array":
-            picture.enable_depth_rendering()
-            depth: NDArray[Any] = picture.render()
-            picture.disable_depth_rendering()
+            canvas.enable_depth_rendering()
+            depth: NDArray[Any] = canvas.render()
+            canvas.disable_depth_rendering()
             return depth
-        picture.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
+        canvas.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
         for position in self._data.geom_xpos[touching]:
-            self._add_spot(picture.scene, position)
+            _add_spot(canvas.scene, position)
         if readout is not None:
-            if not self._path or np.hypot(*(middle - self._path[-1])[:2]) > _PATH_STEP_M:
-                self._path.append(middle)
-            self._add_path(picture.scene, [*self._path, middle])
-        frame: NDArray[np.uint8] = picture.render()
+            if not self.path or np.hypot(*(centre - self.path[-1])[:2]) > _PATH_STEP_M:
+                self.path.append(centre)
+            _add_path(canvas.scene, [*self.path, centre])
+        frame: NDArray[np.uint8] = canvas.render()
         return frame if readout is None else annotate(frame, readout, self._spring)
 
     def close(self) -> None:
         """Free the window or the drawing context."""
-        if self._picture is not None:
-            self._picture.close()
+        if self._canvas is not None:
+            self._canvas.close()
         if self._window is not None:
-            self._window.close()  # type: ignore[no-untyped-call]
-        self._picture = self._window = None
+            self._window.close()
+        self._canvas = self._window = None
 
-    def _touching(self) -> NDArray[np.intp]:
-        """Feet and shells that touch the ground, (n,). Straight at the start they only just do."""
-        above_m = clearances_m(
-            self._data.geom_xpos[self._parts], self._data.geom_xmat[self._parts], self._half_axes
-        )
-        touching: NDArray[np.intp] = self._parts[above_m < _TOUCHING_M]
-        return touching
-
-    def _ready(self) -> mujoco.Renderer:
-        global _why_not
-        if _why_not is None and self._picture is None:
+    def _open_canvas(self) -> mujoco.Renderer:
+        global unavailable
+        backend = choose_backend()
+        if unavailable is None and self._canvas is None:
             try:
+                if backend == "disabled":
+                    raise OSError("MUJOCO_GL says so, or neither EGL nor OSMesa is installed")
+                # MuJoCo chose a context class when it was imported: by MUJOCO_GL, or that of GLFW.
+                if backend in ("egl", "osmesa"):
+                    gl_context.GLContext = import_module(f"mujoco.{backend}").GLContext
                 with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")  # of GLFW, before it fails
-                    self._picture = mujoco.Renderer(self._model, self._view.height, self._view.width)
-            except Exception as error:  # whatever the drawing backend raises
-                _why_not = f"MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}: {_first_line(error)}"
-        if self._picture is None:
-            raise RenderingError(f"cannot draw ({_why_not}); {_mend()}")
-        return self._picture
+                    warnings.simplefilter("ignore")  # GLFW warns before it fails
+                    self._canvas = mujoco.Renderer(self.model, self._view.height, self._view.width)
+            except Exception as error:  # of any type, depending on the backend
+                unavailable = f"{backend}: {_first_line(error)}"
+        if self._canvas is None:
+            fix = INSTALL_DRAWING
+            if backend not in ("egl", "osmesa", "disabled"):
+                fix = "to draw without a display, export MUJOCO_GL=egl"
+            raise RenderingError(f"cannot draw ({unavailable}); {fix}; see also `caterpillar doctor`")
+        return self._canvas
 
     def _show(self) -> None:
         if self._window is None:
+            import glfw
+            from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
+
             if not glfw.init():
                 raise RenderingError(
                     f"cannot open a window on display {os.environ.get('DISPLAY', '')!r}; draw with "
@@ -226,35 +215,90 @@ class RobotRenderer:
             if isinstance(self._camera, str):
                 camera = {"camera_name": self._camera}
             self._window = MujocoRenderer(
-                self._model, self._data, width=view.width, height=view.height, **camera
+                self.model, self._data, width=view.width, height=view.height, **camera
             )
         self._window.render("human")
 
-    @staticmethod
-    def _add_spot(scene: mujoco.MjvScene, position: Array) -> None:
-        scene.ngeom += 1
-        mujoco.mjv_initGeom(
-            scene.geoms[scene.ngeom - 1], mujoco.mjtGeom.mjGEOM_CYLINDER, _CONTACT_SIZE_M,
-            np.array([position[0], position[1], 0.0006]), np.eye(3).ravel(), _CONTACT_RGBA,
-        )  # fmt: skip
 
-    @staticmethod
-    def _add_path(scene: mujoco.MjvScene, path: list[Array]) -> None:
-        nothing = np.zeros(3)
-        for start, end in pairwise(path):
-            if scene.ngeom == scene.maxgeom:
-                return
-            geom = scene.geoms[scene.ngeom]
-            mujoco.mjv_initGeom(
-                geom, mujoco.mjtGeom.mjGEOM_CYLINDER, nothing, nothing, np.eye(3).ravel(), _PATH_RGBA
-            )
-            mujoco.mjv_connector(
-                geom, mujoco.mjtGeom.mjGEOM_CYLINDER, _PATH_WIDTH_M,
-                np.array([*start[:2], 0.001]), np.array([*end[:2], 0.001]),
-            )  # fmt: skip
-            scene.ngeom += 1
+class Pictures:
+    """Pictures of the rows of a `Crawl`, each drawn by a renderer made when it is first needed.
+
+    Args:
+        crawl: the robots.
+        view: size and camera.
+        overlay: whether to write time, distance and energy on colour pictures, and draw the path.
+    """
+
+    def __init__(self, crawl: Crawl, view: View, *, overlay: bool) -> None:
+        self._crawl, self._view, self._overlay = crawl, view, overlay
+        self._renderers: dict[int, RobotRenderer] = {}
+
+    def renderer(self, row: int) -> RobotRenderer:
+        """Return the renderer of a row, for the body that it has now."""
+        simulation = self._crawl.simulation
+        renderer, body = self._renderers.get(row), simulation.body(row)
+        if renderer is not None and renderer.body != body:
+            renderer.close()
+            renderer = None
+        if renderer is None:
+            renderer = self._renderers[row] = RobotRenderer(body, simulation.physics, self._view)
+        return renderer
+
+    def draw(self, row: int, mode: str) -> NDArray[Any] | None:
+        """Draw a row as it is now, as `RobotRenderer.draw` does.
+
+        A machine that cannot draw gives one warning, and None for every picture.
+        """
+        simulation, rows = self._crawl.simulation, np.array([row])
+        readout = Readout.of(self._crawl.progress(rows)) if self._overlay else None
+        (temperature_c,) = simulation.state(rows).temperature_c
+        try:
+            return self.renderer(row).draw(simulation.qpos(row), temperature_c, mode, readout)
+        except RenderingError as error:
+            warn_once(str(error))
+            return None
+
+    def restart(self, row: int) -> None:
+        """Clear the path of a row whose episode begins."""
+        if row in self._renderers:
+            self._renderers[row].path.clear()
+
+    def close(self) -> None:
+        """Free windows and drawing contexts."""
+        for renderer in self._renderers.values():
+            renderer.close()
+        self._renderers.clear()
+
+
+@cache
+def warn_once(text: str) -> None:
+    """Give a warning when called with this text for the first time."""
+    gymnasium.logger.warn(text)
+
+
+def _add_spot(scene: mujoco.MjvScene, position: Array) -> None:
+    scene.ngeom += 1
+    mujoco.mjv_initGeom(
+        scene.geoms[scene.ngeom - 1], mujoco.mjtGeom.mjGEOM_CYLINDER, _CONTACT_SIZE_M,
+        np.array([position[0], position[1], 0.0006]), np.eye(3).ravel(), _CONTACT_RGBA,
+    )  # fmt: skip
+
+
+def _add_path(scene: mujoco.MjvScene, path: list[Array]) -> None:
+    zeros = np.zeros(3)
+    for start, end in pairwise(path):
+        if scene.ngeom == scene.maxgeom:
+            return
+        geom = scene.geoms[scene.ngeom]
+        mujoco.mjv_initGeom(
+            geom, mujoco.mjtGeom.mjGEOM_CYLINDER, zeros, zeros, np.eye(3).ravel(), _PATH_RGBA
+        )
+        mujoco.mjv_connector(
+            geom, mujoco.mjtGeom.mjGEOM_CYLINDER, _PATH_WIDTH_M,
+            np.array([*start[:2], 0.001]), np.array([*end[:2], 0.001]),
+        )  # fmt: skip
+        scene.ngeom += 1
 
 
 def _first_line(error: Exception) -> str:
-    text = str(error).strip()
-    return text.splitlines()[0] if text else type(error).__name__
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]

@@ -187,26 +187,24 @@ def trial(function: str, *arguments: float, **environment: str | None) -> Trial:
 
 def frame() -> dict[str, str]:
     """Draw the robot off-screen: what drew it."""
-    import mujoco
     import numpy as np
 
+    from caterpillar_env.drawing.backend import choose_backend
     from caterpillar_env.drawing.rendering import RenderingError, RobotRenderer, View
-    from caterpillar_env.model import build_model
     from caterpillar_env.morphology import Morphology
     from caterpillar_env.physics import Physics
 
     physics = Physics()
-    model = build_model(Morphology(), physics)
-    renderer = RobotRenderer(model, mujoco.MjData(model), physics.spring, View(96, 64))
+    renderer = RobotRenderer(Morphology(), physics, View(96, 64))
     cold_c = np.full(physics.num_springs, physics.spring.ambient_c)
-    picture = renderer.draw(model.qpos0, cold_c, "rgb_array")
+    picture = renderer.draw(renderer.model.qpos0, cold_c, "rgb_array")
     if picture is None or picture.std() < 1:
         raise RenderingError("the frame is empty")
     from OpenGL import GL
 
     drawn_by = GL.glGetString(GL.GL_RENDERER)
     renderer.close()
-    return {"backend": os.environ.get("MUJOCO_GL", "glfw"), "renderer": (drawn_by or b"?").decode()}
+    return {"backend": choose_backend(), "renderer": (drawn_by or b"?").decode()}
 
 
 def speed(robots: int, limit_s: float) -> dict[str, float]:

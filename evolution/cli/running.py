@@ -138,7 +138,7 @@ def finish(result: History, config: RunConfig, folder: Path, console: Console, *
 
 def picture(folder: Path, console: Console, *, video: bool) -> Path:
     """Tell the best robot of a run, and leave its pictures and its page in the folder; the page."""
-    from caterpillar_env.drawing.video import shows
+    from caterpillar_env.drawing.video import is_video_of
     from evolution.report import run_page
 
     record = History.read(folder)
@@ -152,7 +152,7 @@ def picture(folder: Path, console: Console, *, video: bool) -> Path:
             f"(generation {best.generation}), in {folder}"
         )
         path = folder / "best.mp4"
-        if video and not (path.exists() and shows(path, best)):
+        if video and not (path.exists() and is_video_of(path, best)):
             film(best, path, console)
     return run_page.write(folder)
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from caterpillar_env.drawing.video import shows
+from caterpillar_env.drawing.video import is_video_of
 from caterpillar_env.task import EPISODE_S, Failure
 from caterpillar_env.validation.gaits import measure
 from evolution.config import OPTIMIZERS, PRIORS, RunConfig
@@ -207,7 +207,7 @@ def _video(record: History) -> tuple[str | None, str]:
         return None, "There is no robot to film."
     if not path.exists():
         return None, f"best.mp4 was not made. {again} makes it, where this machine can draw."
-    if not shows(path, record.best_robot):
+    if not is_video_of(path, record.best_robot):
         return None, f"best.mp4 is of another robot than best.json. {again} makes it anew."
     size = path.stat().st_size
     if size > LARGEST_VIDEO_BYTES:

@@ -11,14 +11,14 @@ from caterpillar_env import (
     Morphology,
     Physics,
     SimulationError,
-    SmaSpring,
 )
 from caterpillar_env.drawing import rendering
 from caterpillar_env.drawing.overlay import CONTACT_RGB, Readout
-from caterpillar_env.drawing.rendering import RenderingError, RobotRenderer, View
+from caterpillar_env.drawing.rendering import Pictures, RenderingError, RobotRenderer, View
 from caterpillar_env.drawing.scenery import CAMERAS, RULER
-from caterpillar_env.simulation import Simulation
+from caterpillar_env.task import Crawl
 
+pytestmark = pytest.mark.drawing
 WIDTH, HEIGHT = 96, 64
 SMALL = Morphology(segment_length_m=0.022, segment_radius_m=0.009)
 
@@ -39,85 +39,81 @@ def is_picture(frame):
 
 
 @pytest.fixture(scope="module")
-def robot():
-    """A robot at the start and its renderer: contexts are slow to make."""
-    simulation = Simulation(1, Physics(), 1)
-    simulation.reset([Morphology()])
-    renderer = RobotRenderer(*simulation.drawable(0), SmaSpring(), View(WIDTH, HEIGHT))
-    yield simulation.qpos(0), renderer
-    renderer.close()
+def renderer():
+    """The renderer of the nominal robot: contexts are slow to make."""
+    made = RobotRenderer(Morphology(), Physics(), View(WIDTH, HEIGHT))
+    yield made
+    made.close()
 
 
-def drawn(robot, qpos, temperature_c=25.0, readout=None):
-    return robot[1].draw(qpos, np.full(12, temperature_c), "rgb_array", readout).astype(int)
+@pytest.fixture
+def start(renderer):
+    return renderer.model.qpos0.copy()
 
 
-def coloured(picture, rgb):
-    """How many pixels are of the hue of a colour, however bright."""
+def draw(renderer, qpos, temperature_c=25.0, readout=None):
+    return renderer.draw(qpos, np.full(12, temperature_c), "rgb_array", readout).astype(int)
+
+
+def count_pixels(picture, rgb):
+    """Number of pixels with the hue of a colour, at any brightness."""
     wanted = np.array(rgb) / np.max(rgb)
     own = picture / np.maximum(picture.max(axis=2, keepdims=True), 1)
     return int((np.abs(own - wanted).max(axis=2) < 0.12).sum())
 
 
-def test_hot_springs_are_redder(robot):
-    change = drawn(robot, robot[0], 120.0) - drawn(robot, robot[0], 25.0)
+def test_hot_springs_are_redder(renderer, start):
+    change = draw(renderer, start, 120.0) - draw(renderer, start, 25.0)
     assert change[..., 0].sum() > 100
     assert change[..., 2].sum() < -100
 
 
-def test_pose_is_drawn(robot):
-    bent = robot[0].copy()
+def test_pose_is_drawn(renderer, start):
+    bent = start.copy()
     bent[[9, 12, 15]] = 0.4
-    changed = np.abs(drawn(robot, bent) - drawn(robot, robot[0])).max(axis=2) > 10
+    changed = np.abs(draw(renderer, bent) - draw(renderer, start)).max(axis=2) > 10
     assert changed.mean() > 0.02
 
 
-def test_camera_follows_the_robot(robot):
-    far = robot[0].copy()
+def test_camera_follows_the_robot(renderer, start):
+    far = start.copy()
     far[0] += 3.0  # a whole number of pairs of squares
-    ruler = robot[1]._model.geom(RULER)
+    ruler = renderer.model.geom(RULER)
     ruler.pos[0] += 3.0
-    moved = drawn(robot, far)
+    moved = draw(renderer, far)
     ruler.pos[0] -= 3.0
-    assert np.abs(moved - drawn(robot, robot[0])).mean() < 3
+    assert np.abs(moved - draw(renderer, start)).mean() < 3
 
 
-def test_feet_on_the_ground_are_marked(robot):
-    raised = robot[0].copy()
+def test_feet_on_the_ground_are_marked(renderer, start):
+    raised = start.copy()
     raised[2] += 0.001
-    assert coloured(drawn(robot, robot[0]), CONTACT_RGB) > 15
-    assert coloured(drawn(robot, raised), CONTACT_RGB) == 0
+    assert count_pixels(draw(renderer, start), CONTACT_RGB) > 15
+    assert count_pixels(draw(renderer, raised), CONTACT_RGB) == 0
 
 
-def test_ruler_reads_the_distance(robot):
-    ruler = robot[1]._model.geom(RULER)
-    start_m = robot[1].centre_of_mass(robot[0])
+def test_ruler_shows_the_distance(renderer, start):
+    ruler = renderer.model.geom(RULER)
     zero_m = ruler.pos[0] - ruler.size[0] + 0.5  # it begins at -50 cm
-    assert zero_m == pytest.approx(start_m[0])
-    assert zero_m < -0.02  # the head starts at the origin, and the middle behind it
+    assert zero_m == pytest.approx(renderer.centre_of_mass(start)[0])
+    assert zero_m < -0.02  # the head starts at the origin, and the centre of mass behind it
 
 
-def test_ruler_stays_beside_a_robot_that_veers(robot):
-    veered = robot[0].copy()
+def test_ruler_stays_beside_a_robot_that_veers(renderer, start):
+    veered = start.copy()
     veered[1] += 0.12  # a whole number of pairs of squares
-    assert np.abs(drawn(robot, veered) - drawn(robot, robot[0])).mean() < 3
+    assert np.abs(draw(renderer, veered) - draw(renderer, start)).mean() < 3
 
 
-def test_path_is_drawn_with_a_readout_and_forgotten():
-    simulation = Simulation(1, Physics(), 1)
-    simulation.reset([Morphology()])
-    renderer = RobotRenderer(*simulation.drawable(0), SmaSpring(), View(320, 240))
-    ahead = simulation.qpos(0)
+def test_path_is_drawn_with_a_readout_and_can_be_cleared(start):
+    renderer = RobotRenderer(Morphology(), Physics(), View(320, 240))
+    ahead = start.copy()
     ahead[0] += 0.08
-
-    def with_readout(qpos):
-        still = Readout(0.0, 0.0, 0.0)
-        return renderer.draw(qpos, np.full(12, 25.0), "rgb_array", still).astype(int)
-
-    with_readout(simulation.qpos(0))
-    path = with_readout(ahead)
-    renderer.forget_path()
-    change = path - with_readout(ahead)
+    readout = Readout(0.0, 0.0, 0.0)
+    draw(renderer, start, readout=readout)
+    path = draw(renderer, ahead, readout=readout)
+    renderer.path.clear()
+    change = path - draw(renderer, ahead, readout=readout)
     renderer.close()
     seen = np.abs(change).max(axis=2) > 10
     assert seen.sum() > 50
@@ -125,14 +121,36 @@ def test_path_is_drawn_with_a_readout_and_forgotten():
     assert change[seen][:, 1].mean() < change[seen][:, 2].mean() - 5  # purple on grey
 
 
-def test_long_paths_stay_short_lists(robot):
-    robot[1].forget_path()
+def test_path_keeps_few_points(renderer, start):
+    renderer.path.clear()
     for k in range(20):
-        moved = robot[0].copy()
+        moved = start.copy()
         moved[0] += 1e-3 * k
-        robot[1].draw(moved, np.full(12, 25.0), "rgb_array", Readout(0.0, 0.0, 0.0))
-    assert 6 <= len(robot[1]._path) <= 10  # 19 mm in steps of more than 2 mm
-    robot[1].forget_path()
+        draw(renderer, moved, readout=Readout(0.0, 0.0, 0.0))
+    assert 6 <= len(renderer.path) <= 10  # 19 mm in steps of more than 2 mm
+    renderer.path.clear()
+
+
+# Rows of a simulation
+
+
+def test_rows_are_drawn_with_the_bodies_and_paths_that_they_have():
+    crawl = Crawl(2, Physics(), 1)
+    pictures = Pictures(crawl, View(WIDTH, HEIGHT), overlay=True)
+    crawl.reset([Morphology(), SMALL])
+    frames = [pictures.draw(row, "rgb_array") for row in (0, 1)]
+    assert [pictures.renderer(row).body for row in (0, 1)] == [Morphology(), SMALL]
+    assert len(pictures.renderer(0).path) == 1
+    kept = pictures.renderer(0)
+    pictures.restart(0)
+    assert pictures.renderer(0) is kept
+    assert kept.path == []
+    crawl.reset([SMALL], np.array([0]))
+    changed = pictures.draw(0, "rgb_array")
+    assert pictures.renderer(0) is not kept
+    pictures.close()
+    assert np.abs(frames[0].astype(int) - frames[1]).max() > 50
+    assert np.abs(changed.astype(int) - frames[1]).max() < 10
 
 
 # Environment
@@ -181,7 +199,7 @@ def test_list_holds_a_frame_for_every_control_interval_and_disturbs_nothing():
     env.close()
 
 
-def test_frame_rate_is_that_of_steps_in_single_pictures():
+def test_frame_rate_of_single_pictures_is_the_rate_of_steps():
     assert CaterpillarEnv(render_mode="rgb_array", gait_period_s=2.0).metadata["render_fps"] == 0.5
     assert CaterpillarEnv.metadata["render_fps"] == 10  # of the class: untouched
 
@@ -191,18 +209,16 @@ def test_new_body_is_drawn():
     old = env.render()
     env.reset(options={"morphology": SMALL})
     new = env.render()
-    shell = env._pictures._renderers[0][1]._model.geom("shell0").size[1]
     env.close()
-    assert shell == pytest.approx(0.009)
     assert (new != old).any()
 
 
-def test_camera_can_be_chosen(robot):
+def test_camera_can_be_chosen(renderer, start):
     env = drawing_env("rgb_array", default_camera_config={"distance": 0.5})
     picture = env.render()
     env.close()
     assert is_picture(picture)
-    assert np.abs(picture - drawn(robot, robot[0])).mean() > 5
+    assert np.abs(picture - draw(renderer, start)).mean() > 5
 
 
 def test_vector_environment_draws_every_row():
@@ -265,15 +281,12 @@ def test_impossible_pictures_are_refused_at_once(kind, wrong, match):
         kind(render_mode="rgb_array", **wrong)
 
 
-def test_overlay_is_drawn_where_asked_for():
+def test_overlay_is_optional():
     pictures = []
     for overlay in (False, True):
         env = drawing_env("rgb_array", overlay=overlay)
         env.step(np.tile([-1.0, 1.0], 6))
         pictures.append(env.render())
-        assert len(env._pictures._renderers[0][1]._path) == overlay
-        env.reset()
-        assert env._pictures._renderers[0][1]._path == []  # of the episode before
         env.close()
     differs = (pictures[0] != pictures[1]).any(axis=2)
     assert differs[: HEIGHT // 3].mean() > 0.3
@@ -297,7 +310,7 @@ def test_larger_pictures_than_the_models_own_buffer():
 
 @pytest.fixture
 def broken(monkeypatch):
-    """A machine whose drawing fails; how often that was tried."""
+    """A machine whose drawing fails; the list of attempts."""
     tried = []
 
     def fail(*args):
@@ -305,15 +318,15 @@ def broken(monkeypatch):
         raise RuntimeError("no device\nand more of it")
 
     monkeypatch.setattr(mujoco, "Renderer", fail)
-    monkeypatch.setattr(rendering, "_why_not", None)
-    rendering._warn.cache_clear()
+    monkeypatch.setattr(rendering, "unavailable", None)
+    rendering.warn_once.cache_clear()
     yield tried
-    rendering._warn.cache_clear()
+    rendering.warn_once.cache_clear()
 
 
 def test_all_but_drawing_works_with_one_warning(broken):
     action = np.tile([-1.0, 1.0], 6)
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         env = drawing_env("rgb_array_list")
         env.step(action)
@@ -325,6 +338,6 @@ def test_all_but_drawing_works_with_one_warning(broken):
         envs.reset(seed=0)
         assert envs.render() is None
         envs.close()
-    assert len(said) == 1
-    assert re.search(r"cannot draw \(.*no device\); install EGL", str(said[0].message))
-    assert len(broken) == 1  # a second attempt may end the process
+    assert len(warned) == 1
+    assert re.search(r"cannot draw \(.*no device\); install EGL", str(warned[0].message))
+    assert len(broken) == 1  # a second attempt may crash Python

@@ -1,4 +1,4 @@
-"""Videos show the robots that were recorded at the same times, and leave nothing half written."""
+"""Videos show recorded robots at the same times; a video that fails leaves no file."""
 
 from pathlib import Path
 
@@ -9,43 +9,50 @@ from PIL import Image
 
 from caterpillar_env.drawing import rendering
 from caterpillar_env.drawing.rendering import RenderingError
-from caterpillar_env.drawing.video import Recording, VideoConfig, VideoError, _times, write_video
-from caterpillar_env.gait import GaitTimings
+from caterpillar_env.drawing.video import (
+    Recording,
+    VideoConfig,
+    VideoError,
+    is_video_of,
+    write_video,
+)
+from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Robot
 from caterpillar_env.task import Failure
-from evolution.config import RunConfig
 
-# imageio-ffmpeg leaves the pipes of its readers, and of writers that failed, to the collector.
-pytestmark = pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
+pytestmark = [
+    pytest.mark.drawing,
+    # imageio-ffmpeg does not close the pipes of its readers, nor of writers that failed.
+    pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning"),
+]
 
-PERIOD_S = RunConfig().gait_period_s
 QUICK = VideoConfig(speed=150.0, width=128, height=96)
 
 
-def individual(length_m=0.03):
-    timings = GaitTimings(PERIOD_S, np.array([0.0, 0.1]), np.array([0.6, 0.7]))
+def make_robot(length_m=0.03):
+    timings = GaitTimings(GAIT_PERIOD_S, np.array([0.0, 0.1]), np.array([0.6, 0.7]))
     physics = Physics(num_segments=2)
     return Robot(Morphology(segment_length_m=length_m), timings, physics, fitness_m=0.01)
 
 
 @pytest.fixture(scope="module")
 def recording():
-    return Recording(individual(), "short")
+    return Recording(make_robot(), "short")
 
 
 @pytest.fixture(scope="module")
 def long_and_failed():
-    """A longer robot that, so it is said, veered after 12 s."""
-    made = Recording(individual(0.036), "long")
+    """A longer robot whose outcome is changed to: veered after 12 s."""
+    made = Recording(make_robot(0.036), "long")
     made.outcomes = made.outcomes._replace(failure=np.array([Failure.VEERED], dtype=np.int8))
-    for name in ("_qpos", "_temperature_c", "_energy_j"):
+    for name in ("qpos", "temperature_c", "energy_j"):
         setattr(made, name, getattr(made, name)[:1200])
     return made
 
 
-def pictures(path):
+def read_frames(path):
     frames = imageio_ffmpeg.read_frames(str(path))
     meta = next(frames)
     width, height = meta["size"]
@@ -56,49 +63,51 @@ def pictures(path):
 
 
 def test_recording_is_the_robot_that_was_evaluated(recording):
-    plain = individual().simulate(threads=1)
+    plain = make_robot().simulate(threads=1)
     for traced, value in zip(recording.outcomes, plain, strict=True):
         np.testing.assert_array_equal(traced, value)
     assert recording.duration_s == 30.0
-    assert recording._energy_j[-1] == plain.energy_j[0]
+    assert recording.energy_j[-1] == plain.energy_j[0]
     assert recording.body_length_m == pytest.approx(0.06)
 
 
-def test_readout_tells_time_distance_and_energy(recording, monkeypatch):
-    told = []
+@pytest.fixture
+def readouts(monkeypatch):
+    """The readouts that are written on pictures."""
+    written = []
     monkeypatch.setattr(
-        rendering, "annotate", lambda frame, readout, spring: told.append(readout) or frame
+        rendering, "annotate", lambda frame, readout, spring: written.append(readout) or frame
     )
-    with recording.seen(64, 48, "side", recording.body_length_m) as draw:
+    return written
+
+
+def test_readout_has_time_distance_and_energy(recording, readouts):
+    with recording.open_view(64, 48, "side", recording.body_length_m) as draw:
         for time_s in (0.0, 12.0, 30.0, 99.0):
             draw(time_s)
-    first, middle, last = told  # what stands still is not drawn again
+    first, middle, last = readouts  # a robot that stands still is not drawn again
     assert first.time_s == pytest.approx(0.01)
     assert first.distance_m == 0.0
     assert middle.time_s == pytest.approx(12.0)
     assert 0 < middle.energy_j < last.energy_j == recording.outcomes.energy_j[0]
     assert last.distance_m == pytest.approx(recording.outcomes.distance_m[0], abs=2e-4)
-    assert {r.failure for r in told} == {"ok"}
+    assert {r.failure for r in readouts} == {"ok"}
     assert last.title == "short"
 
 
-def test_failed_robot_stands_still_and_its_failure_is_named(long_and_failed, monkeypatch):
-    told = []
-    monkeypatch.setattr(
-        rendering, "annotate", lambda frame, readout, spring: told.append(readout) or frame
-    )
-    with long_and_failed.seen(64, 48, "track", 0.072) as draw:
+def test_failed_robot_stands_still_and_its_failure_is_named(long_and_failed, readouts):
+    with long_and_failed.open_view(64, 48, "track", 0.072) as draw:
         shown = [draw(time_s) for time_s in (11.9, 12.0, 25.0)]
-    assert [r.failure for r in told] == ["ok", "veered"]
-    assert told[-1].time_s == 12.0
+    assert [r.failure for r in readouts] == ["ok", "veered"]
+    assert readouts[-1].time_s == 12.0
     np.testing.assert_array_equal(shown[1], shown[2])
     assert (shown[0] != shown[1]).any()
 
 
-def test_robot_that_breaks_down_is_shown_as_long_as_it_is_anywhere(recording, monkeypatch):
+def test_robot_that_diverges_is_shown_while_its_pose_is_usable(recording, monkeypatch):
     simulate = Robot.simulate
 
-    def break_down(self, *args, on_interval, **kwargs):
+    def diverge(self, *args, on_interval, **kwargs):
         def spoilt(trace):
             count[0] += 1
             if count[0] == 3:
@@ -108,8 +117,8 @@ def test_robot_that_breaks_down_is_shown_as_long_as_it_is_anywhere(recording, mo
         count = [0]
         return simulate(self, *args, on_interval=spoilt, **kwargs)
 
-    monkeypatch.setattr(Robot, "simulate", break_down)
-    assert Recording(individual()).duration_s == pytest.approx(0.24)
+    monkeypatch.setattr(Robot, "simulate", diverge)
+    assert Recording(make_robot()).duration_s == pytest.approx(0.24)
 
 
 # Videos
@@ -117,7 +126,7 @@ def test_robot_that_breaks_down_is_shown_as_long_as_it_is_anywhere(recording, mo
 
 def test_video_has_the_asked_size_speed_and_a_moving_picture(recording, tmp_path):
     write_video([recording], tmp_path / "robot.mp4", QUICK)
-    meta, frames = pictures(tmp_path / "robot.mp4")
+    meta, frames = read_frames(tmp_path / "robot.mp4")
     assert meta["size"] == (128, 96)
     assert meta["fps"] == 25
     # 30 s at 150 times the speed are 0.2 s: six frames, and the last one stays for a second.
@@ -142,7 +151,7 @@ def test_gif_repeats_at_the_same_speed_with_few_colours(recording, tmp_path):
             image.seek(frame)
             lengths_ms.append(image.info["duration"])
             colours |= {colour for _, colour in image.convert("RGB").getcolors(10_000)}
-    # Frames that do not change may be told as one longer frame.
+    # Frames that do not change may be joined to one longer frame.
     assert sum(lengths_ms) == pytest.approx((4 + 12) * 80, abs=160)
     assert 20 < len(colours) <= 128
     assert [p.name for p in tmp_path.iterdir()] == ["robot.gif"]
@@ -152,10 +161,10 @@ def test_gif_repeats_at_the_same_speed_with_few_colours(recording, tmp_path):
 def test_tiles_lie_side_by_side_and_keep_time(recording, long_and_failed, tmp_path):
     config = VideoConfig(speed=300.0, width=202, height=76)
     write_video([recording, long_and_failed], tmp_path / "two.mp4", config)
-    _, frames = pictures(tmp_path / "two.mp4")
+    _, frames = read_frames(tmp_path / "two.mp4")
     # Times 0, 12, 24 and 30 s: the second robot stands still from 12 s on, the first one goes on.
     for number, tile in enumerate((recording, long_and_failed)):
-        with tile.seen(100, 76, "track", long_and_failed.body_length_m) as draw:
+        with tile.open_view(100, 76, "track", long_and_failed.body_length_m) as draw:
             for time_s, frame in zip((0.0, 12.0, 24.0, 30.0), frames, strict=False):
                 ours = frame[:, number * 102 : number * 102 + 100]
                 assert np.abs(ours - draw(time_s)).mean() < 6, (number, time_s)
@@ -166,17 +175,20 @@ def test_tiles_lie_side_by_side_and_keep_time(recording, long_and_failed, tmp_pa
 
 def test_bodies_are_shown_at_one_scale(recording):
     def body_px(view_m):
-        with recording.seen(160, 120, "top", view_m) as draw:
+        with recording.open_view(160, 120, "top", view_m) as draw:
             picture = draw(0.0).astype(int)
         return (picture[..., 1] > picture[..., [0, 2]].max(axis=2) + 25).sum()  # green
 
     assert body_px(recording.body_length_m) > 2.5 * body_px(2 * recording.body_length_m) > 0
 
 
-def test_frames_are_at_even_times_and_end_at_the_end():
-    times = _times(1.0, 0.5, 10.0)
-    np.testing.assert_allclose(times[:21], np.linspace(0, 1, 21))
-    np.testing.assert_array_equal(times[21:], np.ones(10))
+def test_video_names_its_robot(recording, long_and_failed, tmp_path):
+    path = tmp_path / "robot.mp4"
+    write_video([recording], path, QUICK)
+    assert is_video_of(path, recording.robot)
+    assert not is_video_of(path, long_and_failed.robot)
+    path.write_bytes(recording.robot.digest.encode())
+    assert not is_video_of(path, recording.robot)
 
 
 @pytest.mark.parametrize(
@@ -200,7 +212,7 @@ def test_layout(count, layout):
         ({"height": 10}, "height = 10 must be an even number"),
     ],
 )
-def test_impossible_looks_are_refused(wrong, match):
+def test_values_out_of_range_are_refused(wrong, match):
     with pytest.raises(VideoError, match=match):
         VideoConfig(**wrong)
 
@@ -211,7 +223,7 @@ def test_too_many_tiles_are_refused():
 
 
 def test_other_kinds_of_file_are_refused(recording):
-    with pytest.raises(VideoError, match=r"a video is an \.mp4 or a \.gif file; got robot\.avi"):
+    with pytest.raises(VideoError, match=r"a video must be an \.mp4 or a \.gif file; got robot\.avi"):
         write_video([recording], Path("robot.avi"))
 
 
@@ -222,8 +234,8 @@ def test_folder_that_cannot_be_written_is_an_error_and_leaves_nothing(recording,
 
 
 def test_machine_that_cannot_draw_leaves_nothing(recording, tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr(rendering, "_why_not", "no device")
+    monkeypatch.setattr(rendering, "unavailable", "no device")
     with pytest.raises(RenderingError, match="no device"):
         write_video([recording], tmp_path / "robot.mp4", QUICK)
-    assert not caplog.records  # of a writer that was begun in vain
+    assert not caplog.records  # no writer was started
     assert list(tmp_path.iterdir()) == []

@@ -80,7 +80,7 @@ def test_video_is_named_and_seen_as_asked(still, here, camera):
 
 
 def test_machine_that_cannot_draw_still_compares(still, here, capsys, monkeypatch):
-    monkeypatch.setattr(rendering, "_why_not", "no device")
+    monkeypatch.setattr(rendering, "unavailable", "no device")
     assert cli.main(["replay", "still.json", *SMALL]) == 0
     said = capsys.readouterr()
     assert "recorded 0.02 m" in said.out
