@@ -34,7 +34,7 @@ class EvolveArgs:
 
 
 def evolve_command(argv: Sequence[str]) -> int:
-    """`caterpillar evolve`."""
+    """Evolve body and gait: genetic algorithm, CMA-ES or random search."""
     args = cli.parse(EvolveArgs, argv, "evolve", EvolveArgs(config=PRESETS[_preset(argv)]))
     config = args.config
     folder = args.out or unused(Path("runs"), f"{config.optimizer}-{config.prior}-seed{config.seed}")

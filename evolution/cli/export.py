@@ -59,7 +59,7 @@ class ExportArgs:
 
 
 def export_command(argv: Sequence[str]) -> int:
-    """`caterpillar export`."""
+    """Export the evaluations of a run as a table, or a robot as a MuJoCo model."""
     args = cli.parse(ExportArgs, argv, "export")
     message = _write_model(args) if args.kind == "mjcf" else _write_table(args)
     print(message, file=sys.stderr)

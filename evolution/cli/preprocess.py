@@ -44,7 +44,7 @@ class PreprocessArgs:
 
 
 def preprocess_command(argv: Sequence[str]) -> int:
-    """`caterpillar preprocess`."""
+    """Show the mutation distribution that the preprocessor gives to each gene."""
     args = cli.parse(PreprocessArgs, argv, "preprocess")
     encoding = Encoding(Physics(num_segments=args.num_segments), args.gait_period_s, args.genome)
     priors = paper_priors(encoding, args.floor_ratio, args.clipping, mirrored=args.mirrored)

@@ -59,7 +59,7 @@ class ReplayArgs:
 
 
 def replay_command(argv: Sequence[str]) -> int:
-    """`caterpillar replay`."""
+    """Simulate recorded robots again, and make a video."""
     args = cli.parse(ReplayArgs, argv, "replay")
     robots = _robots(args)
     out = args.out or _beside(args)

@@ -32,7 +32,7 @@ class ReportArgs:
 
 
 def report_command(argv: Sequence[str]) -> int:
-    """`caterpillar report`."""
+    """Write the figures and the page of a run or a study."""
     args = cli.parse(ReportArgs, argv, "report")
     console = cli.console()
     if (args.folder / SETTINGS).is_file():

@@ -30,7 +30,7 @@ class ResumeArgs:
 
 
 def resume_command(argv: Sequence[str]) -> int:
-    """`caterpillar resume`."""
+    """Continue a run that was stopped, or make a finished one longer."""
     args = cli.parse(ResumeArgs, argv, "resume")
     console = cli.console()
     if args.repair:

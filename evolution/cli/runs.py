@@ -32,7 +32,7 @@ class RunsArgs:
 
 
 def runs_command(argv: Sequence[str]) -> int:
-    """`caterpillar runs`."""
+    """List the runs in a folder."""
     args = cli.parse(RunsArgs, argv, "runs")
     if not args.folder.is_dir():
         raise CaterpillarError(f"{args.folder} is no folder; give the one that holds the runs")

@@ -54,7 +54,7 @@ class StudyArgs:
 
 
 def study_command(argv: Sequence[str]) -> int:
-    """`caterpillar study`."""
+    """Run several arms with several seeds, and compare them."""
     args = cli.parse(StudyArgs, argv, "study")
     config = read_toml(args.file) if args.file else preset(str(args.preset))
     folder = args.out or Path("studies") / (args.file.stem if args.file else str(args.preset))

@@ -65,7 +65,7 @@ def _robots(quick: bool) -> list[Robot]:
 
 
 def validate_command(argv: Sequence[str]) -> int:
-    """`caterpillar validate`."""
+    """Check the physics against closed forms, data sheets and finer timesteps."""
     args = cli.parse(ValidateArgs, argv, "validate")
     with writing(args.out):
         args.out.mkdir(parents=True, exist_ok=True)

@@ -31,7 +31,7 @@ class ViewArgs:
 
 
 def view_command(argv: Sequence[str]) -> int:
-    """`caterpillar view`."""
+    """Watch a robot crawl in the browser, and change it by hand."""
     args = cli.parse(ViewArgs, argv, "view")
     individual = nominal_robot() if args.source is None else Robot.load(args.source)
     try:

@@ -62,21 +62,38 @@ def subcommand(arguments, **kwargs):
 @pytest.mark.parametrize(
     "arguments",
     [
-        [],
-        ["fly"],
-        ["--bogus"],
         ["evolve", "--bogus"],
         ["evolve", "nonsense"],
         ["evolve", "--population", "many"],
-        ["evolve", "--population", "-5"],
-        ["evolve", "--population", "10", "--hall-of-fame", "10"],
         ["evolve", "--population"],
-        ["evolve", "--generations", "0"],
-        ["evolve", "--seed", "-1"],
-        ["evolve", "--mutation-rate", "1.5"],
         ["evolve", "--crossover", "three-point"],
         ["evolve", "--preset", "enormous"],
         ["evolve", "--prior", "hopeful"],
+        ["replay", "broken.json", "--timestep-s", "fine"],
+    ],
+    ids=" ".join,
+)
+def test_usage_that_the_parser_rejects_is_status_2(arguments, elsewhere, capsys):
+    before = sorted(elsewhere.rglob("*"))
+    assert cli.main(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert arguments[-1] in said.err
+    assert f"caterpillar {arguments[0]} --help" in said.err
+    assert sorted(elsewhere.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["fly"],
+        ["--bogus"],
+        ["evolve", "--population", "-5"],
+        ["evolve", "--population", "10", "--hall-of-fame", "10"],
+        ["evolve", "--generations", "0"],
+        ["evolve", "--seed", "-1"],
+        ["evolve", "--mutation-rate", "1.5"],
         [*TINY, "--gait-period-s", "0.25"],
         [*TINY, "--gait-period-s", "nan"],
         [*TINY, "--gait-period-s", "inf"],
@@ -105,7 +122,6 @@ def subcommand(arguments, **kwargs):
         ["replay", "file"],
         ["replay", "broken.json"],
         ["replay", "other.json"],
-        ["replay", "broken.json", "--timestep-s", "fine"],
     ],
     ids=" ".join,
 )

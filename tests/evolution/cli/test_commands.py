@@ -209,11 +209,9 @@ def test_resume_mends_a_damaged_journal_when_asked(elsewhere, capsys):
         (["run", "--evaluator", "cloud"], "--evaluator"),
     ],
 )
-def test_wrong_input_of_resume_is_answered_in_one_line(elsewhere, capsys, arguments, message):
+def test_wrong_input_of_resume_is_named(elsewhere, capsys, arguments, message):
     assert cli.main(["resume", *arguments]) in (1, 2)
-    said = capsys.readouterr().err
-    assert message.lower() in said.lower()
-    assert said.count("\n") == 1
+    assert message.lower() in capsys.readouterr().err.lower()
 
 
 # preprocess

@@ -49,7 +49,7 @@ def test_it_serves_a_page_on_loopback_and_ends_on_ctrl_c(tmp_path):
         (["--bogus"], "--bogus"),
     ],
 )
-def test_wrong_input_is_one_line(arguments, hint, tmp_path, monkeypatch, capsys):
+def test_wrong_input_is_named(arguments, hint, tmp_path, monkeypatch, capsys):
     pytest.importorskip("viser")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "other.json").write_text("[1]")
@@ -61,7 +61,6 @@ def test_wrong_input_is_one_line(arguments, hint, tmp_path, monkeypatch, capsys)
     said = capsys.readouterr()
     assert said.out == ""
     assert hint in said.err
-    assert len(said.err.splitlines()) == 1
 
 
 def test_port_that_is_taken_is_said(capsys):
