@@ -39,7 +39,7 @@ def settings(config: TrainConfig, **other: Any) -> dict[str, Any]:
 
 def judge(config: TrainConfig, **other: Any) -> Episodes:
     """One robot for policies to be judged by, which meets with nothing at random."""
-    return Episodes(1, threads=1, action_mode=config.mode, **settings(config, **other))
+    return Episodes([Morphology()], threads=1, action_mode=config.mode, **settings(config, **other))
 
 
 class AtRandom:
@@ -82,7 +82,7 @@ class Policy:
             trace: likewise.
         """
         row = np.array([0])
-        seen: Any = robot.reset(row, [morphology], [np_random(seed)[0]])[0]
+        seen: Any = robot.reset(row, [np_random(seed)[0]], [morphology])[0]
         ended = False
         while not ended:
             if self.normalizer is not None:

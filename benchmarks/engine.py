@@ -50,9 +50,8 @@ def measure(robots: int = CHUNK, limit_s: float = 8.0, threads: int = 0) -> Spee
     """
     bodies, timings = random_robots(robots, 0, Physics())
     power = timings.mirrored().power(SMA_STEP_S)
-    crawl = Crawl(robots, Physics(), threads)
     started = time.perf_counter()
-    crawl.reset(bodies)
+    crawl = Crawl(bodies, Physics(), threads)
     built = time.perf_counter()
     engine_s, done = 0.0, 0
     with recorded(crawl.simulation) as asked:

@@ -53,7 +53,7 @@ class Repeated:
     def __init__(self, env: Any, actions: list[Any]) -> None:
         env.reset(seed=SEED)
         ends = [0]
-        with recorded(env.unwrapped._episodes.crawl.simulation) as self.calls:
+        with recorded(env.unwrapped.crawl.simulation) as self.calls:
             for action in actions:
                 env.step(action)
                 ends.append(len(self.calls.calls))
@@ -117,7 +117,7 @@ def single(mode: str, steps: int, repeats: int) -> dict[str, Any]:
             "ours": run(env, actions),
             "bare": lambda: _steps(model, controls),
             "batch": repeated.alone(1),
-            "plain": lambda: _plain(env.unwrapped._episodes.physics, model, controls),
+            "plain": lambda: _plain(env.unwrapped.crawl.physics, model, controls),
         },
         steps,
         repeats,

@@ -34,8 +34,7 @@ def recording(**changes: Any) -> EngineCalls:
     physics = replace(Physics(), **changes)
     bodies, timings = together(evolved_robots(8))
     power = timings.mirrored().power(SMA_STEP_S)
-    crawl = Crawl(len(bodies), physics)
-    crawl.reset(bodies)
+    crawl = Crawl(bodies, physics)
     with recorded(crawl.simulation) as calls:
         crawl.run(power[:, : round(SECONDS / SMA_STEP_S)])
     return calls

@@ -28,8 +28,7 @@ def evaluation(bodies: int, seconds: float, repeats: int) -> None:
     """`fitness.simulate` and the bare steps, on one thread and on all."""
     physics = Physics()
     robots, timings = random_robots(bodies, 0, physics)
-    crawl = Crawl(bodies, physics)
-    crawl.reset(robots)
+    crawl = Crawl(robots, physics)
     power = timings.mirrored().power(SMA_STEP_S)
     with recorded(crawl.simulation) as bare:
         for _ in range(round(seconds / timings.period_s)):

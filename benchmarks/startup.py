@@ -25,8 +25,7 @@ def resets(repeats: int, *, new_body: bool) -> Callable[[], float]:
     """Seconds per reset of one robot, each with a body that it never had or with the one that it has."""
     physics = Physics()
     bodies, _ = random_robots(50 * repeats, 0, physics)
-    crawl = Crawl(1, physics)
-    crawl.reset(bodies[:1])
+    crawl = Crawl(bodies[:1], physics)
     waiting = iter(bodies)
 
     def work() -> None:

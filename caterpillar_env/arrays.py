@@ -1,4 +1,4 @@
-"""The type of the arrays of numbers that the whole project uses."""
+"""Types of the arrays that the whole project uses."""
 
 from __future__ import annotations
 
@@ -7,3 +7,5 @@ from numpy.typing import NDArray
 
 #: NumPy array of 64-bit floats, of any shape; docstrings give shapes and units.
 Array = NDArray[np.float64]
+#: Indices of robots in a simulation, (R,).
+Rows = NDArray[np.intp]

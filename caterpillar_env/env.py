@@ -171,13 +171,14 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
                 + ('. "human" needs a display, and DISPLAY is not set' if len(modes) < 4 else "")
             )
         EzPickle.__init__(self, **arguments, **episodes)
-        self._episodes = Episodes(1, threads=threads, **episodes)
+        body = Morphology() if morphology is None else Morphology.of(morphology)
+        self._episodes = Episodes([body], threads=threads, **episodes)
         self.action_space = self._episodes.action_space
         self.observation_space = self._episodes.observation_space
-        self._morphology = Morphology() if morphology is None else Morphology.of(morphology)
         self.render_mode = render_mode
         view = View(width, height, camera_name, default_camera_config)
-        self._pictures = Pictures(self._episodes.crawl, view, overlay=overlay)
+        self.crawl = self._episodes.crawl
+        self._pictures = Pictures(self.crawl, view, overlay=overlay)
         self._frames: list[Any] = []
         self._running = False
         fps = self.metadata["render_fps"]
@@ -192,8 +193,8 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
 
     @property
     def morphology(self) -> Morphology:
-        """The body of the next episode, and of this one once it is reset."""
-        return self._morphology
+        """The robot's body; `reset` may change it."""
+        return self._episodes.morphology(0)
 
     @property
     def observation_names(self) -> list[str]:
@@ -206,9 +207,8 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         """Start an episode; `options={"morphology": ...}` changes the body from now on."""
         super().reset(seed=seed)
         chosen = check_options(options, ("morphology",))
-        if "morphology" in chosen:
-            self._morphology = Morphology.of(chosen["morphology"])
-        observation, info = self._episodes.reset(_ROW, [self._morphology], [self.np_random])
+        bodies = [Morphology.of(chosen["morphology"])] if "morphology" in chosen else None
+        observation, info = self._episodes.reset(_ROW, [self.np_random], bodies)
         self._running = True
         self._frames = []
         self._pictures.restart(0)
@@ -265,4 +265,4 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
 
 
 def _first(info: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    return {key: value[0] if value.dtype == object else float(value[0]) for key, value in info.items()}
+    return {key: value.item() for key, value in info.items()}

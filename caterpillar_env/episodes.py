@@ -9,15 +9,15 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from caterpillar_env.arrays import Array
+from caterpillar_env.arrays import Array, Rows
 from caterpillar_env.errors import MorphologyError, SimulationError, TimingError
-from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, whole
+from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, count_steps
 from caterpillar_env.model import joint_names
 from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.observation import observation_names, observe
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
-from caterpillar_env.randomization import Conditions, Randomization
-from caterpillar_env.simulation import BodyState, Rows, Trace
+from caterpillar_env.randomization import Randomization
+from caterpillar_env.simulation import BodyState, Trace
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress, label
 
 #: Bound of every entry of an observation; healthy robots stay around one.
@@ -45,7 +45,7 @@ class Episodes:
 
     def __init__(
         self,
-        num_envs: int,
+        bodies: Sequence[Morphology],
         *,
         threads: int,
         action_mode: str = "timing",
@@ -81,9 +81,9 @@ class Episodes:
         self.action_mode = action_mode
         self.symmetric = symmetric
         self.gait_period_s = gait_period_s
-        self._period_intervals = whole(gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
+        self._period_intervals = count_steps(gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
         self.episode_s = episode_s
-        self._episode_intervals = whole(episode_s, CONTROL_INTERVAL_S, "episode_s")
+        self._episode_intervals = count_steps(episode_s, CONTROL_INTERVAL_S, "episode_s")
         self._frame_skip = frame_skip
         self._step_intervals = frame_skip * (self._period_intervals if action_mode == "timing" else 1)
         if max_episode_steps:
@@ -94,12 +94,11 @@ class Episodes:
         self._randomization = Randomization.of(randomization)
         if self._randomization is not None:
             self._randomization.check(self.physics)
-        self._conditions: list[Conditions | None] = [None] * num_envs
         self._terminate = terminate_on_failure
         self._clock_s = gait_period_s if action_mode == "switch" else None
-        self.crawl = Crawl(num_envs, self.physics, threads, stop_on_failure=terminate_on_failure)
-        self._unit = np.zeros((num_envs, len(NAMES)))
-        self._intervals = np.zeros(num_envs, dtype=np.int64)
+        self.crawl = Crawl(bodies, self.physics, threads, stop_on_failure=terminate_on_failure)
+        self._unit = np.zeros((len(bodies), len(NAMES)))
+        self._intervals = np.zeros(len(bodies), dtype=np.int64)
 
         springs = self.physics.num_springs
         self.action_space: spaces.Box | spaces.MultiBinary
@@ -118,10 +117,19 @@ class Episodes:
         """Simulated length of one environment step, s."""
         return self._step_intervals * CONTROL_INTERVAL_S
 
+    def morphology(self, row: int) -> Morphology:
+        """The body of a row."""
+        body = self.crawl.simulation.bodies[row]
+        assert isinstance(body, Morphology)  # as given; one per segment is for `simulate` only
+        return body
+
     def reset(
-        self, rows: Rows, morphologies: Sequence[Morphology], generators: Sequence[np.random.Generator]
+        self,
+        rows: Rows,
+        generators: Sequence[np.random.Generator],
+        bodies: Sequence[Morphology] | None = None,
     ) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
-        """Start new episodes in some rows, with a body and a source of noise for each."""
+        """Start new episodes in some rows, with a source of noise for each, and new bodies if given."""
         joints = joint_names(self.physics.num_segments)
         scale = np.array([_AXIAL_NOISE_M_RAD if n.startswith("axial") else 1.0 for n in joints])
         drawn = np.array([g.uniform(-1.0, 1.0, len(joints)) for g in generators])
@@ -129,10 +137,8 @@ class Episodes:
         conditions = None
         if self._randomization is not None:
             conditions = [self._randomization.draw(self.physics, g) for g in generators]
-            for row, condition in zip(rows.tolist(), conditions, strict=True):
-                self._conditions[row] = condition
-        self.crawl.reset(morphologies, rows, conditions=conditions, offset=offset)
-        self._unit[rows] = [2.0 * m.to_unit() - 1.0 for m in morphologies]
+        self.crawl.reset(bodies, rows, conditions=conditions, offset=offset)
+        self._unit[rows] = [2.0 * self.morphology(row).to_unit() - 1.0 for row in rows]
         self._intervals[rows] = 0
         state, start = self.crawl.simulation.state(rows), self.crawl.progress(rows)
         nothing = np.zeros(len(rows))
@@ -208,14 +214,12 @@ class Episodes:
         """Share of the drive power, (R, steps, springs), for the coming environment step."""
         if self.action_mode == "switch":
             return np.repeat(actions[:, None, :], self._step_intervals * STEPS_PER_INTERVAL, axis=1)
-        timings = GaitTimings.from_action(np.clip(actions, -1.0, 1.0), self.gait_period_s)
-        if self.symmetric:
-            timings = timings.mirrored()
+        timings = GaitTimings.from_action(actions, self.gait_period_s, mirrored=self.symmetric)
         return np.tile(timings.power(SMA_STEP_S), (1, self._frame_skip, 1))
 
     def _met(self, rows: Rows) -> dict[str, NDArray[Any]]:
         """What randomised robots meet with, for `info`; nothing where nothing is randomised."""
-        met = [c for c in (self._conditions[row] for row in rows) if c is not None]
+        met = [c for c in (self.crawl.simulation.conditions[row] for row in rows) if c is not None]
         if not met:
             return {}
         strengths = np.empty(len(met), dtype=object)

@@ -77,13 +77,20 @@ class GaitTimings:
             )
 
     @classmethod
-    def from_action(cls, action: NDArray[Any], period_s: float) -> GaitTimings:
-        """Timings from actions in [-1, 1], shape (..., 2 n): on and off of each of n springs in turn.
+    def from_action(
+        cls, action: NDArray[Any], period_s: float, *, mirrored: bool = False
+    ) -> GaitTimings:
+        """Timings from an action.
 
-        -1 is the start of the period and 1 its end.
+        Args:
+            action: on and off time of each of n springs in turn, shape (..., 2 n). -1 is the start of
+                the period and 1 its end; values beyond are clipped.
+            period_s: gait period, s.
+            mirrored: whether the action times mirrored pairs; the result times their 2 n springs.
         """
         times = np.clip((np.asarray(action, dtype=np.float64) + 1.0) * 0.5 * period_s, 0.0, period_s)
-        return cls(period_s, times[..., 0::2], times[..., 1::2])
+        on_s, off_s = times[..., 0::2], times[..., 1::2]
+        return cls(period_s, mirror(on_s), mirror(off_s)) if mirrored else cls(period_s, on_s, off_s)
 
     def to_action(self) -> NDArray[np.float32]:
         """The action that stands for these timings, shape (..., 2 n), float32: see `from_action`."""
@@ -122,7 +129,7 @@ class GaitTimings:
         Raises:
             TimingError: the period is not a whole number of steps.
         """
-        steps = whole(self.period_s, step_s, "the gait period")
+        steps = count_steps(self.period_s, step_s, "the gait period")
         edges = np.linspace(0.0, self.period_s, steps + 1)[:, None]
         on, off = self.on_s[..., None, :], self.off_s[..., None, :]
         # Time spent between on and off, or (wrapped) off and on, from the start of the period.
@@ -131,7 +138,7 @@ class GaitTimings:
         return np.clip(np.diff(powered, axis=-2) / (self.period_s / steps), 0.0, 1.0)
 
 
-def whole(duration_s: float, step_s: float, what: str) -> int:
+def count_steps(duration_s: float, step_s: float, what: str) -> int:
     """How many steps make up a duration.
 
     Raises:

@@ -1,17 +1,17 @@
-"""What this machine lets us have of its processor."""
+"""The processor of this machine, and how much of it this process may use."""
 
 from __future__ import annotations
 
+import math
 import os
 import platform
-from collections.abc import Iterator
 from pathlib import Path
 
-_GROUPS, _OURS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+_ROOT, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 
 
 def processor() -> str:
-    """Its name, as far as the system tells."""
+    """Name of the processor, as reported by the system."""
     try:
         lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
     except OSError:
@@ -21,46 +21,26 @@ def processor() -> str:
 
 
 def cores() -> int:
-    """How many cores this process may run on: what 0 threads stands for."""
-    return len(os.sched_getaffinity(0))
+    """Number of usable cores: those this process may run on, within its quota (see `quota`)."""
+    allowed = len(os.sched_getaffinity(0))
+    return max(1, min(allowed, math.ceil(quota() or allowed)))
 
 
-def quota(groups: Path = _GROUPS, ours: Path = _OURS) -> float | None:
-    """How many cores' time control groups grant us (a container's limit); None if there is no limit.
+def quota(root: Path = _ROOT, own: Path = _OWN) -> float | None:
+    """Cores' worth of time that the process's control group may use; None if it is not limited.
 
     Args:
-        groups: where control groups are mounted, of version 2 or 1.
-        ours: the file that tells our group in each hierarchy.
+        root: where control groups of version 2, or those of version 1 by controller, are mounted.
+        own: file that names the group of this process in each hierarchy.
     """
     try:
-        lines = ours.read_text("utf-8").splitlines()
-    except OSError:
+        entries = [line.split(":", 2) for line in own.read_text("utf-8").splitlines()]
+        controllers, group = next(e[1:] for e in entries if not e[1] or "cpu" in e[1].split(","))
+        top = root / "cpu" if controllers else root
+        folder = top / group.lstrip("/")
+        folder = folder if folder.is_dir() else top  # in a container, where only its own is mounted
+        names = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if controllers else ("cpu.max",)
+        limit, period = " ".join((folder / name).read_text("utf-8") for name in names).split()
+        return int(limit) / int(period) if int(limit) > 0 else None
+    except (OSError, ValueError, StopIteration):  # "max", or no control groups
         return None
-    limits = [limit for line in lines for limit in _limits(groups, *line.split(":", 2)[1:])]
-    return min(limits, default=None)
-
-
-def _limits(groups: Path, controllers: str, group: str) -> Iterator[float]:
-    """Of a group and those above it; inside a container the mount begins at our own."""
-    if controllers and "cpu" not in controllers.split(","):
-        return
-    root = groups / controllers if controllers and (groups / controllers).is_dir() else groups
-    root = root / "cpu" if controllers and (root / "cpu").is_dir() else root
-    place = root / group.lstrip("/")
-    for folder in (place, *place.parents):
-        if folder.is_relative_to(root):
-            limit = _limit(folder)
-            if limit is not None:
-                yield limit
-
-
-def _limit(folder: Path) -> float | None:
-    try:
-        if (folder / "cpu.max").exists():
-            granted, period = (folder / "cpu.max").read_text("utf-8").split()
-        else:
-            granted = (folder / "cpu.cfs_quota_us").read_text("utf-8").strip()
-            period = (folder / "cpu.cfs_period_us").read_text("utf-8").strip()
-    except (OSError, ValueError):
-        return None
-    return None if granted in ("max", "-1") else int(granted) / int(period)

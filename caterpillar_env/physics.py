@@ -11,7 +11,7 @@ import numpy as np
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import PhysicsError, TimingError, from_mapping
-from caterpillar_env.gait import SPRINGS_PER_GAP, whole
+from caterpillar_env.gait import SPRINGS_PER_GAP, count_steps
 from caterpillar_env.sma import SmaSpring
 
 #: Thermal step: the grid on which springs are heated and the fraction handed to the actuators.
@@ -80,7 +80,7 @@ class Physics:
         if self.spring_strengths is not None:
             object.__setattr__(self, "spring_strengths", tuple(map(float, self.spring_strengths)))
         try:
-            whole(SMA_STEP_S, self.timestep_s, "the thermal step")
+            count_steps(SMA_STEP_S, self.timestep_s, "the thermal step")
         except TimingError:
             raise PhysicsError(
                 f"timestep_s = {self.timestep_s:g} must go a whole number of times into the thermal "

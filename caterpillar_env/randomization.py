@@ -116,7 +116,7 @@ _LEAST = {
 }  # fmt: skip
 
 
-def varied(model: mujoco.MjModel, physics: Physics, conditions: Conditions) -> mujoco.MjModel:
+def apply_conditions(model: mujoco.MjModel, physics: Physics, conditions: Conditions) -> mujoco.MjModel:
     """A copy of a robot of `physics`, as it is under `conditions`; the air is the springs' affair."""
     changed = copy.copy(model)
     changed.geom_friction[:, 0] = conditions.friction

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import read, write_json
-from caterpillar_env.gait import GaitTimings, pair_names, spring_names, whole
+from caterpillar_env.gait import GaitTimings, count_steps, pair_names, spring_names
 from caterpillar_env.morphology import Body, Morphology, segments_of
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.simulation import Trace
@@ -73,11 +73,10 @@ def simulate(
         on_interval: called after each control interval, see `Crawl.run`.
         trace: whether to trace what is needed to draw.
     """
-    whole(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
-    steps = whole(duration_s, CONTROL_INTERVAL_S, "the duration") * STEPS_PER_INTERVAL
+    count_steps(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
+    steps = count_steps(duration_s, CONTROL_INTERVAL_S, "the duration") * STEPS_PER_INTERVAL
     power = timings.of_springs(physics.num_springs).power(SMA_STEP_S)
-    crawl = Crawl(len(bodies), physics, threads)
-    crawl.reset(bodies)
+    crawl = Crawl(bodies, physics, threads)
     # Some intervals at a time, so that no array of the whole 30 s is made.
     first = 0
     while first < steps:

@@ -1,7 +1,7 @@
 """The task: crawl straight ahead for 30 s without falling, leaping or turning away.
 
-`judge` says what counts as a failure; `Crawl` runs robots interval by interval, stops those that fail,
-and keeps their account. Environments and fitness evaluation all go through `Crawl.run`.
+`judge` decides what counts as a failure. `Crawl` advances robots control interval by control interval,
+stops those that fail, and measures their progress. Environments and fitness evaluation both use it.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from caterpillar_env.arrays import Array
+from caterpillar_env.arrays import Array, Rows
 from caterpillar_env.errors import SimulationError
-from caterpillar_env.gait import whole
+from caterpillar_env.gait import count_steps
 from caterpillar_env.morphology import Body
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.randomization import Conditions
-from caterpillar_env.simulation import Pose, Rows, Simulation, Trace
+from caterpillar_env.simulation import FREE_QPOS, Pose, Simulation, Trace
 
 #: Saunders 2009, section IV: distance travelled within 30 s of simulated time.
 EPISODE_S = 30.0
-STEPS_PER_INTERVAL = whole(CONTROL_INTERVAL_S, SMA_STEP_S, "the control interval")
+STEPS_PER_INTERVAL = count_steps(CONTROL_INTERVAL_S, SMA_STEP_S, "the control interval")
 
 
 class Failure(IntEnum):
@@ -119,55 +119,77 @@ class Progress(NamedTuple):
 
 
 class Crawl:
-    """Robots that crawl, each until it fails.
+    """Robots that crawl, each until it fails; at the start when made.
 
     Args:
-        num_rows: number of robots.
+        bodies: one for each robot.
         physics: material, numerics, number of segments.
         threads: see `Simulation`.
         thresholds: where a failure begins.
         stop_on_failure: whether a failed robot stands still from then on. A diverged one always does.
+
+    Attributes:
+        simulation: the robots' bodies, springs and motion.
+        failure: why each robot was stopped, values of `Failure`, (B,).
     """
 
     def __init__(
         self,
-        num_rows: int,
+        bodies: Sequence[Body],
         physics: Physics,
         threads: int = 0,
         *,
         thresholds: Thresholds | None = None,
         stop_on_failure: bool = True,
     ) -> None:
-        self.simulation = Simulation(num_rows, physics, threads)
+        self.simulation = Simulation(bodies, physics, threads)
         self.physics = physics
         self.thresholds = thresholds or Thresholds()
         self.stop_on_failure = stop_on_failure
-        self.failure = np.zeros(num_rows, dtype=np.int8)
-        self._start_m = np.zeros((num_rows, 2))
-        self._direction = np.zeros((num_rows, 2))  # cosine and sine of the starting heading
-        self._account = np.zeros((num_rows, 6))  # the first six fields of `Progress`
-        self._borne_s = np.zeros(num_rows)  # time for which the body has carried the robot
+        self.failure = np.zeros(len(bodies), dtype=np.int8)
+        self._start_m = np.zeros((len(bodies), 2))
+        self._direction = np.zeros((len(bodies), 2))  # cosine and sine of the starting heading
+        self._measured = np.zeros((len(bodies), 6))  # the first six fields of `Progress`
+        self._borne_s = np.zeros(len(bodies))  # time for which the body has carried the robot
+        self._start(self.simulation.rows(), 0.0)
 
     def reset(
         self,
-        bodies: Sequence[Body],
+        bodies: Sequence[Body] | None = None,
         rows: Rows | None = None,
         *,
         conditions: Sequence[Conditions] | None = None,
         heading_rad: float = 0.0,
         offset: Array | None = None,
     ) -> None:
-        """Put robots at the start; arguments as for `Simulation.reset`."""
-        self.simulation.reset(
-            bodies, rows, conditions=conditions, heading_rad=heading_rad, offset=offset
-        )
-        index = self._rows(rows)
+        """Put robots back to the start, at rest and cold.
+
+        Args:
+            bodies: one for each robot that is reset; the present ones by default.
+            rows: which robots; all by default.
+            conditions: one for each robot that is reset; those of `physics` by default.
+            heading_rad: direction to crawl in, counter-clockwise from world x.
+            offset: added to the positions of the internal joints, m or rad, (R, J).
+        """
+        self.simulation.reset(bodies, rows, conditions=conditions)
+        index = self.simulation.rows(rows)
+        if heading_rad != 0.0 or offset is not None:
+            qpos = np.stack([self.simulation.qpos(row) for row in index])
+            if heading_rad != 0.0:
+                half = heading_rad / 2
+                qpos[:, 3:FREE_QPOS] = [np.cos(half), 0.0, 0.0, np.sin(half)]
+            if offset is not None:
+                qpos[:, FREE_QPOS:] += offset
+            self.simulation.place(qpos, index, standing=offset is not None)
+        self._start(index, heading_rad)
+
+    def _start(self, index: Rows, heading_rad: float) -> None:
         self.failure[index] = Failure.NONE
         self._borne_s[index] = 0.0
         pose = self.simulation.pose(index)
         self._start_m[index] = pose.com_m[:, :2]
         self._direction[index] = np.cos(heading_rad), np.sin(heading_rad)
-        self._account[index] = self._measure(index, pose)
+        self._measured[index] = self._measure(index, pose)
 
     def run(
         self,
@@ -184,73 +206,75 @@ class Crawl:
             power: share of the drive power, (R, intervals * STEPS_PER_INTERVAL, num_springs).
             rows: which robots; all by default. One that has failed already stands still.
             on_interval: called after every interval with its trace (None unless `trace`).
-            intervals: how many control intervals each goes on for at most, (R,); all by default.
-            trace: whether to trace what is needed to draw.
+            intervals: maximum number of control intervals of each robot, (R,); no limit by default.
+            trace: whether to record what is needed to draw.
 
         Raises:
-            SimulationError: not a whole number of control intervals, or a wrong shape.
+            SimulationError: wrong shape, or not a whole number of control intervals.
         """
-        index = self._rows(rows)
+        index = self.simulation.rows(rows)
         steps = power.shape[1] if power.ndim == 3 else -1
         if steps < 0 or steps % STEPS_PER_INTERVAL or len(power) != len(index):
             raise SimulationError(
                 f"power must have shape ({len(index)}, n * {STEPS_PER_INTERVAL}, "
                 f"{self.physics.num_springs}); got {power.shape}"
             )
-        limit = np.full(self.simulation.num_rows, steps // STEPS_PER_INTERVAL)
-        if intervals is not None:
-            limit[index] = intervals
-        going = (limit[index] > 0) & ~self._stopped(index)
+        count = steps // STEPS_PER_INTERVAL
+        limit = np.full(len(index), count) if intervals is None else intervals
+        going = (limit > 0) & ~self._stopped(index)
         if not going.all():
-            index, power = index[going], power[going]
+            index, power, limit = index[going], power[going], limit[going]
         if not index.size:
             return
-        number = 0
-
-        def watch(rows: Rows, traced: Trace | None) -> NDArray[np.bool_]:
-            nonlocal number
-            number += 1
-            self._judge(rows)
+        heating = self.simulation.heat(power, index)
+        places = np.arange(len(index))
+        for number in range(count):
+            first = number * STEPS_PER_INTERVAL
+            traced = self.simulation.advance(
+                heating, places, first, first + STEPS_PER_INTERVAL, trace=trace
+            )
+            moved = index[places]
+            self._judge(moved)
             if on_interval is not None:
                 on_interval(traced)
-            return (limit[rows] > number) & ~self._stopped(rows)
-
-        self.simulation.advance(power, index, trace=trace, every=STEPS_PER_INTERVAL, watch=watch)
+            places = places[(limit[places] > number + 1) & ~self._stopped(moved)]
+            if not places.size:
+                break
 
     def progress(self, rows: Rows | None = None) -> Progress:
-        """What the robots have achieved since reset, as of the end of their last interval."""
-        index = self._rows(rows)
-        time_s, distance_m, lateral_m, heading_rad, energy_j, body_load = self._account[index].T
+        """What the robots have achieved since reset, measured at the end of their last interval."""
+        index = self.simulation.rows(rows)
+        time_s, distance_m, lateral_m, heading_rad, energy_j, body_load = self._measured[index].T
         failure = self.failure[index]
         return Progress(time_s, distance_m, lateral_m, heading_rad, energy_j, body_load, failure)
 
     def _measure(self, index: Rows, pose: Pose) -> Array:
         """The first six fields of `Progress`, (R, 6)."""
-        account = np.empty((len(index), 6))
+        measured = np.empty((len(index), 6))
         both = np.empty((len(index), 2, 2))  # the way and the forward axis, horizontal
         np.subtract(pose.com_m[:, :2], self._start_m[index], out=both[:, 0])
         both[:, 1] = pose.forward[:, :2]
         cosine, sine = self._direction[index].T[..., None]
         x, y = both[..., 0], both[..., 1]
         along, across = x * cosine + y * sine, y * cosine - x * sine
-        account[:, 0] = pose.time_s
-        account[:, 1], account[:, 2] = along[:, 0], across[:, 0]
-        np.arctan2(across[:, 1], along[:, 1], out=account[:, 3])
-        account[:, 4] = self.simulation.energy_j[index]
-        account[:, 5] = self._borne_s[index] / np.maximum(pose.time_s, EPISODE_S)
-        return account
+        measured[:, 0] = pose.time_s
+        measured[:, 1], measured[:, 2] = along[:, 0], across[:, 0]
+        np.arctan2(across[:, 1], along[:, 1], out=measured[:, 3])
+        measured[:, 4] = self.simulation.energy_j[index]
+        measured[:, 5] = self._borne_s[index] / np.maximum(pose.time_s, EPISODE_S)
+        return measured
 
     def _judge(self, index: Rows) -> None:
         pose = self.simulation.pose(index)
         feet_n, body_n = pose.load_n.T
         share = body_n / np.maximum(feet_n + body_n, _LEAST_LOAD_N)
         self._borne_s[index] += np.maximum(share, 0.0) * CONTROL_INTERVAL_S
-        account = self._account[index] = self._measure(index, pose)
-        _, _, lateral_m, heading_rad, _, body_load = account.T
+        measured = self._measured[index] = self._measure(index, pose)
+        _, _, lateral_m, heading_rad, _, body_load = measured.T
         diverged = self.simulation.diverged(index)
         found = judge(pose, lateral_m, heading_rad, body_load, diverged, self.thresholds)
         if found.any():
-            # The first failure stays; only a later divergence is told instead.
+            # The first failure stays; only a later divergence replaces it.
             keep = (self.failure[index] != _NONE) & (found != _DIVERGED)
             self.failure[index] = np.where(keep, self.failure[index], found)
 
@@ -258,6 +282,3 @@ class Crawl:
         code = self.failure[index]
         stopped: NDArray[np.bool_] = code != _NONE if self.stop_on_failure else code == _DIVERGED
         return stopped
-
-    def _rows(self, rows: Rows | None) -> Rows:
-        return np.arange(self.simulation.num_rows) if rows is None else rows

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from caterpillar_env.arrays import Array
+from caterpillar_env.arrays import Array, Rows
 from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.episodes import Episodes, check_options, morphologies_for
@@ -59,10 +59,8 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
             )
         self.num_envs = num_envs
         self._mode = AutoresetMode(autoreset_mode)
-        self._episodes = Episodes(num_envs, threads=threads, **episodes)
-        self._morphologies = morphologies_for(
-            Morphology() if morphology is None else morphology, num_envs
-        )
+        bodies = morphologies_for(Morphology() if morphology is None else morphology, num_envs)
+        self._episodes = Episodes(bodies, threads=threads, **episodes)
         self.single_action_space = self._episodes.action_space
         self.single_observation_space = self._episodes.observation_space
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -74,7 +72,8 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         }
         self.render_mode = render_mode
         view = View(width, height, camera_name, default_camera_config)
-        self._pictures = Pictures(self._episodes.crawl, view, overlay=overlay)
+        self.crawl = self._episodes.crawl
+        self._pictures = Pictures(self.crawl, view, overlay=overlay)
         self._generators: list[np.random.Generator] = []
         self._done = np.zeros(num_envs, dtype=bool)
         self._observations = np.zeros(self.observation_space.shape or (), dtype=np.float32)
@@ -97,12 +96,12 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
     @property
     def simulated_s(self) -> float:
         """Simulated seconds that all rows together have been stepped for."""
-        return self._episodes.crawl.simulation.simulated_s
+        return self.crawl.simulation.simulated_s
 
     @property
     def morphologies(self) -> list[Morphology]:
         """The body of each row."""
-        return list(self._morphologies)
+        return [self._episodes.morphology(row) for row in range(self.num_envs)]
 
     def reset(
         self,
@@ -118,11 +117,13 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
                 f"reset_mask must be a bool array of shape ({self.num_envs},) with a True in it; "
                 f"got {mask}"
             )
-        bodies = morphologies_for(chosen.get("morphology", self._morphologies), self.num_envs)
+        rows, bodies = np.flatnonzero(mask), None
+        if "morphology" in chosen:
+            given = morphologies_for(chosen["morphology"], self.num_envs)
+            bodies = [given[row] for row in rows]
         self._seed(seed, mask)
-        for row in np.flatnonzero(mask):
-            self._morphologies[row] = bodies[row]
-        info = self._start(np.flatnonzero(mask))
+        info: dict[str, Any] = {}
+        self._start(rows, info, bodies)
         return self._observations.copy(), info
 
     def _seed(self, seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]) -> None:
@@ -181,20 +182,18 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
             info |= {"final_info": final_info, "_final_info": mask.copy()}
         return self._observations.copy(), rewards, terminated, truncated, info
 
-    def _start(self, rows: NDArray[np.intp], info: dict[str, Any] | None = None) -> dict[str, Any]:
-        info = {} if info is None else info
+    def _start(
+        self, rows: Rows, info: dict[str, Any], bodies: Sequence[Morphology] | None = None
+    ) -> None:
+        """Start new episodes in `rows` and write their first info into `info`."""
         for row in rows:
             self._pictures.restart(row)
-        observations, started = self._episodes.reset(
-            rows, [self._morphologies[r] for r in rows], [self._generators[r] for r in rows]
-        )
+        observations, started = self._episodes.reset(rows, [self._generators[r] for r in rows], bodies)
         self._observations[rows] = observations
         self._done[rows] = False
-        return self._merge(info, started, rows)
+        self._merge(info, started, rows)
 
-    def _merge(
-        self, info: dict[str, Any], new: dict[str, NDArray[Any]], rows: NDArray[np.intp]
-    ) -> dict[str, Any]:
+    def _merge(self, info: dict[str, Any], new: dict[str, NDArray[Any]], rows: Rows) -> None:
         """Write rows of `new` into full-length arrays of `info`, with Gymnasium's `_key` masks."""
         for key, values in new.items():
             if key not in info:
@@ -202,7 +201,6 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
                 info[f"_{key}"] = np.zeros(self.num_envs, dtype=bool)
             info[key][rows] = values
             info[f"_{key}"][rows] = True
-        return info
 
     def render(self) -> tuple[Any, ...] | None:
         """One picture per row, or None without a render mode or where nothing can be drawn."""

@@ -236,7 +236,7 @@ class Pictures:
     def renderer(self, row: int) -> RobotRenderer:
         """Return the renderer of a row, for the body that it has now."""
         simulation = self._crawl.simulation
-        renderer, body = self._renderers.get(row), simulation.body(row)
+        renderer, body = self._renderers.get(row), simulation.bodies[row]
         if renderer is not None and renderer.body != body:
             renderer.close()
             renderer = None

@@ -10,8 +10,7 @@ import numpy as np
 from caterpillar_env.arrays import Array
 from caterpillar_env.model import build_model
 from caterpillar_env.physics import SMA_STEP_S, Physics
-from caterpillar_env.simulation import Simulation
-from caterpillar_env.task import EPISODE_S
+from caterpillar_env.task import EPISODE_S, Crawl
 from caterpillar_env.validation.check import Check, at_least, at_most
 from caterpillar_env.validation.mechanics import crawl_for
 from caterpillar_env.validation.robots import random_robots, wave_robots
@@ -71,13 +70,13 @@ def passive_energy(*, quick: bool) -> list[Check]:
     for body in bodies:
         model = build_model(body, physics, scenery=False)
         bent = 0.9 * model.jnt_range[1:, 1] * rng.uniform(-1, 1, model.njnt - 1)
-        simulation = Simulation(1, physics, threads=1)
-        simulation.reset([body], offset=bent[None])
-        energy_j = _energy(model, simulation.qpos(0), physics, steps)
+        crawl = Crawl([body], physics, threads=1)
+        crawl.reset(offset=bent[None])
+        energy_j = _energy(model, crawl.simulation.qpos(0), physics, steps)
         on_ground.append(_regained(energy_j))
         risen.append((energy_j.max() - energy_j[0]) / (energy_j[0] - energy_j[-1]))
         model.opt.disableflags |= no_ground
-        in_space.append(_regained(_energy(model, simulation.qpos(0), physics, steps)))
+        in_space.append(_regained(_energy(model, crawl.simulation.qpos(0), physics, steps)))
     name = f"energy that {count} robots without power regain"
     return [
         at_most(f"{name} in free space, share of what they lose", 1e-4, max(in_space), ""),

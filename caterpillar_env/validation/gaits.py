@@ -43,8 +43,7 @@ def measure(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
     """
     physics, period_s = robot.physics, robot.timings.period_s
     periods = max(1, int(duration_s / period_s + 1e-9))
-    crawl = Crawl(1, physics, threads=1, stop_on_failure=False)
-    crawl.reset([robot.morphology])
+    crawl = Crawl([robot.morphology], physics, threads=1, stop_on_failure=False)
     power = robot.timings.of_springs(physics.num_springs).power(SMA_STEP_S)[None]
     with recorded(crawl.simulation) as calls:
         for _ in range(periods):

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.gait import whole
+from caterpillar_env.gait import count_steps
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.robot import Robot
 from caterpillar_env.task import EPISODE_S, Crawl, label
@@ -45,12 +45,12 @@ def trajectory(robot: Robot, offset_m: float = 0.0) -> tuple[Array, str]:
 
     `offset_m` displaces every internal joint at the start.
     """
-    crawl = Crawl(1, robot.physics)
-    joints = crawl.simulation.state().joint_position.shape[1]
-    crawl.reset([robot.morphology], offset=np.full((1, joints), offset_m) if offset_m else None)
+    crawl = Crawl([robot.morphology], robot.physics)
+    if offset_m:
+        crawl.reset(offset=np.full_like(crawl.simulation.state().joint_position, offset_m))
     period = robot.timings.mirrored().power(SMA_STEP_S)
-    power = np.tile(period, (whole(EPISODE_S, robot.timings.period_s, "an episode"), 1))
-    sample = whole(SAMPLE_S, SMA_STEP_S, "the time between two points")
+    power = np.tile(period, (count_steps(EPISODE_S, robot.timings.period_s, "an episode"), 1))
+    sample = count_steps(SAMPLE_S, SMA_STEP_S, "the time between two points")
     points = []
     for first in range(0, len(power), sample):
         crawl.run(power[None, first : first + sample])

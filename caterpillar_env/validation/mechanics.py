@@ -172,13 +172,13 @@ def crawl_for(
     `offset_m` moves every joint at the start, to see what a tiny change does: each axial joint, and each
     hinge so that the centre of the element behind it is moved as far, the vertical ones sideways.
     """
-    crawl = Crawl(len(bodies), physics, thresholds=thresholds, stop_on_failure=stop_on_failure)
+    crawl = Crawl(bodies, physics, thresholds=thresholds, stop_on_failure=stop_on_failure)
     axial = np.array([n.startswith("axial") for n in joint_names(physics.num_segments)])
     # A hinge is half-way between two elements, a quarter of a segment from either.
     heads = [segments_of(body, physics.num_segments)[0] for body in bodies]
     arms_m = np.array([head.segment_length_m / 4 for head in heads])[:, None]
     offset = np.where(axial, offset_m, offset_m / arms_m)
-    crawl.reset(bodies, heading_rad=heading_rad, offset=offset)
+    crawl.reset(heading_rad=heading_rad, offset=offset)
     left = round(duration_s / SMA_STEP_S)
     while left > 0:
         crawl.run(power[:, : min(left, power.shape[1])])
@@ -279,8 +279,7 @@ def detectors(healthy: Sequence[Robot]) -> list[Check]:
         "veered": (0.024, 0.0, math.radians(60)),
         "ok": (0.024, 0.0, math.radians(20)),
     }
-    crawl = Crawl(len(poses), physics)
-    crawl.reset([Morphology()] * len(poses))
+    crawl = Crawl([Morphology()] * len(poses), physics)
     com = crawl.simulation.state().com_m
     qpos = np.stack([crawl.simulation.qpos(i) for i in range(len(poses))])
     for row, (height, roll, yaw) in enumerate(poses.values()):

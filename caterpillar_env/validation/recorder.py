@@ -20,7 +20,7 @@ class EngineCalls:
     """
 
     def __init__(self, simulation: Simulation) -> None:
-        self.models = list(simulation._models)
+        self.models = list(simulation.models)
         self.calls: list[tuple[str, dict[str, Any]]] = []
 
     @property
@@ -45,7 +45,7 @@ class EngineCalls:
 def recorded(simulation: Simulation) -> Iterator[EngineCalls]:
     """Record what `simulation`, just reset, asks of the engine within the block."""
     recording = EngineCalls(simulation)
-    batch = simulation._batch
+    batch = simulation.engine
 
     class Listener:
         def __getattr__(self, name: str) -> Any:
@@ -60,8 +60,8 @@ def recorded(simulation: Simulation) -> Iterator[EngineCalls]:
             recording.calls.append(("reset", {"ids": ids.copy(), "stage": stage}))
             batch.reset(ids, stage=stage)
 
-    simulation._batch = Listener()
+    simulation.engine = Listener()
     try:
         yield recording
     finally:
-        simulation._batch = batch
+        simulation.engine = batch

@@ -16,7 +16,7 @@ import numpy as np
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.gait import whole
+from caterpillar_env.gait import count_steps
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, GRAVITY_M_S2, Physics
 from evolution.genome import Encoding, Gene
@@ -232,7 +232,7 @@ def paper_priors(
         clipping: what "clipped Gaussian" is to mean.
         mirrored: whether every peak is put at the opposite end: a prior that misleads on purpose.
     """
-    whole(encoding.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
+    count_steps(encoding.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
     priors = preprocess(design_parameters(encoding.physics), encoding.genes, floor_ratio)
     return [replace(p, distribution=_varied(p.distribution, clipping, mirrored)) for p in priors]
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.gait import GaitTimings, whole
+from caterpillar_env.gait import GaitTimings, count_steps
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.robot import Outcomes, Robot
@@ -18,7 +18,7 @@ from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, 
 #: A wave from the tail, ventral pairs half a period after dorsal ones; each is heated for 1 s.
 _ON_S = (0.0, 2.5, 3.3, 0.8, 1.7, 4.2)
 _OFF_S = (1.0, 3.5, 4.3, 1.8, 2.7, 0.2)
-_INTERVALS = whole(EPISODE_S, CONTROL_INTERVAL_S, "the episode")
+_INTERVALS = count_steps(EPISODE_S, CONTROL_INTERVAL_S, "the episode")
 
 
 def nominal_robot() -> Robot:
@@ -51,7 +51,7 @@ class Session:
     def __init__(self, individual: Robot) -> None:
         self.individual = individual
         self._power = _power(individual)
-        self._crawl = Crawl(1, individual.physics, threads=1)
+        self._crawl = Crawl([individual.morphology], individual.physics, threads=1)
         self.reset()
 
     def reset(self) -> None:
@@ -79,7 +79,7 @@ class Session:
         self._power = _power(individual)
         self.individual = individual
         if individual.physics != old.physics:
-            self._crawl = Crawl(1, individual.physics, threads=1)
+            self._crawl = Crawl([individual.morphology], individual.physics, threads=1)
         elif individual.morphology == old.morphology:
             self._changed_on_the_way |= self._count > 0
             return False
@@ -159,5 +159,5 @@ class Session:
 def _power(individual: Robot) -> Array:
     """Share of the drive power over one period, (steps, num_springs)."""
     timings = individual.timings
-    whole(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
+    count_steps(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
     return timings.of_springs(individual.physics.num_springs).power(SMA_STEP_S)

@@ -152,9 +152,7 @@ def test_conditions_are_drawn_in_training_and_not_in_evaluation(tmp_path, monkey
     plain = train(config(budget_s=150.0), tmp_path / "plain").points[0]
     drawn = train(config(budget_s=150.0, randomize={"friction": (0.2, 0.3)}), tmp_path / "drawn")
     assert drawn.points[0].distance_m == plain.distance_m  # untrained, judged under the same conditions
-    frictions = [
-        model.geom_friction[-1, 0] for model in made[1].get_attr("_episodes")[0].crawl.simulation._models
-    ]
+    frictions = [model.geom_friction[-1, 0] for model in made[1].get_attr("crawl")[0].simulation.models]
     assert 0.2 <= min(frictions) < max(frictions) <= 0.3
 
 
@@ -225,7 +223,7 @@ def test_neighbouring_seeds_share_neither_conditions_nor_a_network(tmp_path):
 
         def watched(self):
             seen = reset(self)
-            models = self.get_attr("_episodes")[0].crawl.simulation._models
+            models = self.get_attr("crawl")[0].simulation.models
             frictions.append([model.geom_friction[-1, 0] for model in models])
             return seen
 

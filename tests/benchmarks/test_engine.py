@@ -13,8 +13,7 @@ def recording():
     """Three robots, one of which is stopped by a strict threshold of jumping, and what was asked for."""
     rng = np.random.default_rng(0)
     bodies = [Morphology(), Morphology(segment_mass_kg=0.012), Morphology()]
-    crawl = Crawl(3, Physics(), 1, thresholds=Thresholds(veered_lateral_m=1e-4))
-    crawl.reset(bodies)
+    crawl = Crawl(bodies, Physics(), 1, thresholds=Thresholds(veered_lateral_m=1e-4))
     with recorded(crawl.simulation) as calls:
         crawl.run(rng.integers(0, 2, (3, 200, 12)).astype(float))
     end = np.stack([crawl.simulation.qpos(row) for row in range(3)])
@@ -32,8 +31,7 @@ def test_the_limit_makes_the_very_steps_that_we_made(recording):
 
 
 def test_resets_are_repeated_too():
-    crawl = Crawl(2, Physics(), 1)
-    crawl.reset([Morphology()] * 2)
+    crawl = Crawl([Morphology()] * 2, Physics(), 1)
     power = np.random.default_rng(0).integers(0, 2, (2, 50, 12)).astype(float)
     with recorded(crawl.simulation) as calls:
         crawl.run(power)

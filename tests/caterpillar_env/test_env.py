@@ -29,7 +29,7 @@ def switch_env(**kwargs):
 
 def fail_at_once(env):
     """Make everything count as clear of the ground."""
-    env._episodes.crawl.thresholds = Thresholds(jumped_clearance_m=-1.0)
+    env.crawl.thresholds = Thresholds(jumped_clearance_m=-1.0)
     return env
 
 
@@ -215,7 +215,7 @@ def test_failure_may_be_survived():
 def test_divergence_always_ends_the_episode(terminate, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo logs its warning in the working directory
     env = switch_env(terminate_on_failure=terminate)
-    env._episodes.crawl.simulation._qpos[0] = np.nan
+    env.crawl.simulation.place(np.full((1, 18), np.nan))
     observation, reward, terminated, truncated, info = env.step(ALL_OFF)
     assert (terminated, truncated) == (True, False)
     assert info["failure"] == "diverged"
@@ -232,8 +232,7 @@ def test_episode_is_truncated_at_its_length():
 
 
 def test_default_episode_is_thirty_seconds():
-    env = switch_env()
-    env._episodes._intervals[0] = 298  # of 0.1 s
+    env = switch_env(frame_skip=299)  # of 0.1 s
     assert env.step(ALL_OFF)[3] is False
     assert env.step(ALL_OFF)[3] is True
 
@@ -298,7 +297,7 @@ def test_unusable_action_is_refused_and_nothing_moves(action, message):
     env = timing_env()
     with pytest.raises(TimingError, match=message):
         env.step(action)
-    assert env._episodes.crawl.simulation.simulated_s == 0
+    assert env.crawl.simulation.simulated_s == 0
 
 
 @pytest.mark.parametrize("value", [0.5, 2, -1])
@@ -348,6 +347,6 @@ def test_unusable_argument_is_refused_with_the_reason(kwargs, error, message):
 
 def test_physics_reaches_the_robot():
     env = CaterpillarEnv(physics={"friction": 0.5, "spring": {"ambient_c": 20.0}})
-    assert env._episodes.physics == Physics.of({"friction": 0.5, "spring": {"ambient_c": 20.0}})
+    assert env.crawl.physics == Physics.of({"friction": 0.5, "spring": {"ambient_c": 20.0}})
     env.reset(seed=0)
-    assert env._episodes.crawl.simulation.state().temperature_c[0, 0] == 20
+    assert env.crawl.simulation.state().temperature_c[0, 0] == 20

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from caterpillar_env import GaitTimings, TimingError
-from caterpillar_env.gait import mirror, pair_names, spring_names, whole
+from caterpillar_env.gait import count_steps, mirror, pair_names, spring_names
 
 PERIOD_S = 3.0
 TIMES = st.floats(0, PERIOD_S)
@@ -159,11 +159,11 @@ def test_period_must_be_a_whole_number_of_steps():
 
 
 def test_whole_counts_despite_rounding():
-    assert whole(0.3, 0.1, "it") == 3  # 0.1 * 3 is not 0.3
-    assert whole(30.0, 0.01, "it") == 3000
+    assert count_steps(0.3, 0.1, "it") == 3  # 0.1 * 3 is not 0.3
+    assert count_steps(30.0, 0.01, "it") == 3000
 
 
 @pytest.mark.parametrize(("duration_s", "step_s"), [(0.05, 0.1), (0.0, 0.1), (-0.1, 0.1), (0.25, 0.1)])
 def test_whole_refuses_none_and_fractions(duration_s, step_s):
     with pytest.raises(TimingError, match="whole multiple"):
-        whole(duration_s, step_s, "it")
+        count_steps(duration_s, step_s, "it")

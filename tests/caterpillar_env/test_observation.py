@@ -11,9 +11,7 @@ BODY = Morphology()
 
 
 def crawl(rows=1, thresholds=None, stop_on_failure=True):
-    robots = Crawl(rows, Physics(), 1, thresholds=thresholds, stop_on_failure=stop_on_failure)
-    robots.reset([BODY] * rows)
-    return robots
+    return Crawl([BODY] * rows, Physics(), 1, thresholds=thresholds, stop_on_failure=stop_on_failure)
 
 
 def sense(robots, morphology, clock_s):
@@ -31,8 +29,7 @@ def off(rows=1, intervals=1):
 @pytest.mark.parametrize("segments", [2, 4, 5])
 def test_every_entry_of_an_observation_is_named_once(segments, clock):
     physics = Physics(num_segments=segments)
-    robots = Crawl(2, physics, 1)
-    robots.reset([BODY] * 2)
+    robots = Crawl([BODY] * 2, physics, 1)
     names = observation_names(physics, clock=clock)
     values = sense(robots, 0.0, 3.0 if clock else None)
     assert values.shape == (2, len(names))
@@ -92,13 +89,13 @@ def test_progress_and_senses_do_not_depend_on_the_compass(heading_rad):
                 [0, 0, 1],
             ]
         )
-        simulation._qpos[0, :3] += compass @ drift
-        simulation._qpos[0, 3:7] = [math.cos(now_rad / 2), 0, 0, math.sin(now_rad / 2)]
-        simulation._qpos[0, 7:] = joints
-        simulation._qvel[0] = rates
-        simulation._qvel[0, :3] = compass @ rates[:3]  # linear in the world, angular in the body
-        simulation._refresh(np.array([0]))
-        robots._judge(np.array([0]))
+        qpos, qvel = simulation.qpos(0), rates.copy()
+        qpos[:3] += compass @ drift
+        qpos[3:7] = [math.cos(now_rad / 2), 0, 0, math.sin(now_rad / 2)]
+        qpos[7:] = joints
+        qvel[:3] = compass @ rates[:3]  # linear in the world, angular in the body
+        simulation.place(qpos[None], qvel=qvel[None])
+        robots.run(off())
         seen.append(sense(robots, 0.0, 3.0))
         progresses.append(robots.progress())
     np.testing.assert_allclose(seen[1], seen[0], rtol=1e-5, atol=1e-5)

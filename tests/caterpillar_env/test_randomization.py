@@ -10,7 +10,7 @@ from caterpillar_env.errors import PhysicsError
 from caterpillar_env.model import build_model
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
-from caterpillar_env.randomization import Conditions, Randomization, varied
+from caterpillar_env.randomization import Conditions, Randomization, apply_conditions
 from caterpillar_env.simulation import Simulation
 
 RANGES = {
@@ -40,7 +40,7 @@ def test_a_heavier_robot_is_one_that_was_built_heavier():
     body = Morphology()
     light = build_model(body, P, scenery=False)
     heavy = build_model(Morphology(segment_mass_kg=1.25 * body.segment_mass_kg), P, scenery=False)
-    made = varied(light, P, conditions(mass=1.25))
+    made = apply_conditions(light, P, conditions(mass=1.25))
     for name, value in arrays(heavy).items():
         np.testing.assert_allclose(getattr(made, name), value, rtol=1e-12, atol=1e-15, err_msg=name)
 
@@ -48,7 +48,7 @@ def test_a_heavier_robot_is_one_that_was_built_heavier():
 def test_stronger_springs_and_slippery_ground_are_those_of_other_physics():
     other = Physics(num_segments=2, timestep_s=0.01, friction=0.3, spring_strengths=(1.5,) * 4)
     expected = build_model(Morphology(), other, scenery=False)
-    made = varied(
+    made = apply_conditions(
         build_model(Morphology(), P, scenery=False), P,
         conditions(friction=0.3, strengths=(1.5,) * 4),
     )  # fmt: skip
@@ -59,41 +59,40 @@ def test_stronger_springs_and_slippery_ground_are_those_of_other_physics():
 def test_the_robot_itself_is_left_as_it_was():
     model = build_model(Morphology(), P, scenery=False)
     before = {name: value.copy() for name, value in arrays(model).items()}
-    varied(model, P, conditions(mass=2.0, friction=0.1, strengths=(2.0,) * 4))
+    apply_conditions(model, P, conditions(mass=2.0, friction=0.1, strengths=(2.0,) * 4))
     for name, value in before.items():
         np.testing.assert_array_equal(getattr(model, name), value, err_msg=name)
 
 
 def test_springs_in_colder_air_need_longer_to_warm_up():
-    simulation = Simulation(3, P, 1)
+    simulation = Simulation([Morphology()] * 3, P, 1)
     met = [conditions(ambient_c=c) for c in (5.0, P.spring.ambient_c, 45.0)]
-    simulation.reset([Morphology()] * 3, conditions=met)
+    simulation.reset(conditions=met)
     np.testing.assert_allclose(simulation.state().temperature_c.T, [[5.0, 25.0, 45.0]] * 4)
-    simulation.advance(np.ones((3, 60, 4)))
+    simulation.advance(simulation.heat(np.ones((3, 60, 4))))
     cold, nominal, warm = simulation.state().temperature_c[:, 0]
     assert cold < nominal < warm
     assert simulation.state().fraction[0, 0] < simulation.state().fraction[2, 0]
-    simulation.advance(np.zeros((3, 6000, 4)))
+    simulation.advance(simulation.heat(np.zeros((3, 6000, 4))))
     np.testing.assert_allclose(simulation.state().temperature_c.T, [[5.0, 25.0, 45.0]] * 4, atol=0.01)
 
 
 def test_nominal_conditions_change_not_one_bit():
-    plain, met = (Simulation(1, P, 1) for _ in range(2))
-    plain.reset([Morphology()])
-    met.reset([Morphology()], conditions=[conditions()])
+    plain, met = (Simulation([Morphology()], P, 1) for _ in range(2))
+    met.reset(conditions=[conditions()])
     power = np.zeros((1, 300, 4))
     power[:, :100, 0] = 1.0
     for simulation in (plain, met):
-        simulation.advance(power)
+        simulation.advance(simulation.heat(power))
     np.testing.assert_array_equal(plain.qpos(0), met.qpos(0))
 
 
 def test_a_robot_without_conditions_forgets_those_of_the_last_episode():
-    simulation, fresh = Simulation(1, P, 1), Simulation(1, P, 1)
-    simulation.reset([Morphology()], conditions=[conditions(friction=0.1, ambient_c=40.0, mass=1.3)])
+    simulation, fresh = (Simulation([Morphology()], P, 1) for _ in range(2))
+    simulation.reset(conditions=[conditions(friction=0.1, ambient_c=40.0, mass=1.3)])
     for one in (simulation, fresh):
-        one.reset([Morphology()])
-        one.advance(np.ones((1, 100, 4)))
+        one.reset()
+        one.advance(one.heat(np.ones((1, 100, 4))))
     np.testing.assert_array_equal(simulation.qpos(0), fresh.qpos(0))
 
 
@@ -195,6 +194,6 @@ def test_models_in_use_are_those_that_were_drawn():
         "CaterpillarSMA-v0", num_envs=2, threads=1, randomization={"friction": (0.2, 1.0)}, **SMALL
     )
     _, told = vector.reset(seed=0)
-    models = vector.unwrapped._episodes.crawl.simulation._models
+    models = vector.unwrapped.crawl.simulation.models
     assert all(isinstance(m, mujoco.MjModel) for m in models)
     assert [m.geom_friction[-1, 0] for m in models] == list(told["friction"])

@@ -37,15 +37,14 @@ def judged(up_z=1.0, clearance_m=0.0, lateral_m=0.0, heading_rad=0.0, body_load=
 
 
 def crawl(rows=1, thresholds=None, stop_on_failure=True):
-    robots = Crawl(rows, Physics(), 1, thresholds=thresholds, stop_on_failure=stop_on_failure)
-    robots.reset([BODY] * rows)
-    return robots
+    return Crawl([BODY] * rows, Physics(), 1, thresholds=thresholds, stop_on_failure=stop_on_failure)
 
 
 def pose(robots, row, quaternion, height_m):
-    """Put a robot elsewhere, behind the back of its account."""
-    robots.simulation._qpos[row, 2] = height_m
-    robots.simulation._qpos[row, 3:7] = quaternion
+    """Turn a robot and put its head at a height."""
+    qpos = robots.simulation.qpos(row)
+    qpos[2], qpos[3:7] = height_m, quaternion
+    robots.simulation.place(qpos[None], np.array([row]))
 
 
 def off(rows=1, intervals=1):
@@ -137,7 +136,7 @@ def test_robot_in_that_pose_fails_so(quaternion, height_m, failure):
 def test_diverged_robot_is_told_and_leaves_the_others(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo logs its warning in the working directory
     robots, healthy = crawl(2, stop_on_failure=False), crawl(2)
-    robots.simulation._qpos[0] = np.nan
+    robots.simulation.place(np.full((1, 18), np.nan), np.array([0]))
     power = gait(2, 5)
     robots.run(power)
     healthy.run(power)
@@ -202,6 +201,19 @@ def test_reset_clears_the_failure_and_the_account():
     assert progress.time_s.tolist() == [0.0, 0.3]
 
 
+def test_reset_applies_heading_and_offset():
+    robots = crawl(2)
+    offset = np.zeros((1, 11))
+    offset[0, 1] = 0.05
+    robots.reset([BODY], np.array([1]), heading_rad=math.pi / 2, offset=offset)
+    state = robots.simulation.state()
+    assert state.joint_position[1].tolist() == offset[0].tolist()
+    assert not state.joint_position[0].any()
+    np.testing.assert_allclose(state.forward[0], [1, 0, 0], atol=1e-12)
+    assert state.forward[1, 1] > 0.99
+    assert state.com_m[1, 1] == pytest.approx(-0.0525, abs=0.003)  # the body trails behind the head
+
+
 def test_run_gives_the_traces_of_each_interval():
     robots, traces = crawl(2), []
     robots.run(gait(2, 3), on_interval=traces.append, trace=True)
@@ -212,7 +224,9 @@ def test_run_gives_the_traces_of_each_interval():
 def test_progress_measures_left_as_positive():
     robots = crawl()
     robots.reset([BODY], heading_rad=math.pi / 2)
-    robots.simulation._qpos[0, :2] += [-0.03, 0.02]  # left is -x when heading along y
+    qpos = robots.simulation.qpos(0)
+    qpos[:2] += [-0.03, 0.02]  # left is -x when heading along y
+    robots.simulation.place(qpos[None])
     robots.run(off())
     progress = robots.progress()
     assert progress.distance_m[0] == pytest.approx(0.02, abs=1e-3)

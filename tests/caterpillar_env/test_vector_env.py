@@ -34,13 +34,15 @@ def some_actions(envs, seed=1):
 
 
 def times(envs):
-    return envs._episodes.crawl.progress().time_s.tolist()
+    return envs.crawl.progress().time_s.tolist()
 
 
 def overturn(envs, row):
     """Put a robot on its back, so that it fails within the next step."""
-    simulation = envs._episodes.crawl.simulation
-    simulation._qpos[row, 2:7] = [simulation.body(row).segment_radius_m, 0, 1, 0, 0]
+    simulation = envs.crawl.simulation
+    qpos = simulation.qpos(row)
+    qpos[2:7] = [simulation.bodies[row].segment_radius_m, 0, 1, 0, 0]
+    simulation.place(qpos[None], np.array([row]))
 
 
 # Rows
@@ -119,7 +121,7 @@ def test_new_bodies_stay_through_resets():
     assert times(envs) == [0, 0, 0]
     assert envs.morphologies == BODIES
     envs.reset()
-    assert [envs._episodes.crawl.simulation.body(r) for r in range(ROWS)] == BODIES
+    assert envs.crawl.simulation.bodies == BODIES
 
 
 def test_masked_reset_changes_the_bodies_of_its_rows_only():
@@ -371,7 +373,7 @@ def test_unusable_modes_are_refused():
         CaterpillarVectorEnv(2, render_mode="human")
     with pytest.raises(ValueError, match="sometimes"):
         CaterpillarVectorEnv(2, autoreset_mode="sometimes")
-    with pytest.raises(SimulationError, match="num_rows >= 1"):
+    with pytest.raises(SimulationError, match="at least one body"):
         CaterpillarVectorEnv(0)
 
 

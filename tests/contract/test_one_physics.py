@@ -56,7 +56,7 @@ def test_single_environment_repeats_the_fitness_run(reference, row):
     env.reset(seed=0)
     for step in (1, 2):
         *_, info = env.step(ACTIONS[row])
-        pose = env.unwrapped._episodes.crawl.simulation.qpos(0)
+        pose = env.unwrapped.crawl.simulation.qpos(0)
         np.testing.assert_array_equal(pose, poses[row, 200 * step - 1])
     assert info["distance"] == outcome.distance_m[row]
     assert info["energy_j"] == pytest.approx(outcome.energy_j[row], rel=1e-12)
@@ -72,7 +72,7 @@ def test_rows_of_the_vector_environment_repeat_the_fitness_run(reference, thread
     for step in (1, 2):
         *_, info = envs.step(ACTIONS[order])
         for place, row in enumerate(order):
-            pose = envs.unwrapped._episodes.crawl.simulation.qpos(place)
+            pose = envs.unwrapped.crawl.simulation.qpos(place)
             np.testing.assert_array_equal(pose, poses[row, 200 * step - 1])
     np.testing.assert_array_equal(info["distance"], outcome.distance_m[order])
 
@@ -95,7 +95,7 @@ def test_switching_by_hand_repeats_a_gait():
     assert one["time_s"] == other["time_s"] == 3.2
     assert one["energy_j"] == pytest.approx(other["energy_j"], rel=1e-9)
     # Springs only: shares of 1 - 1e-16 for 1 are enough to part two trajectories in their last bits.
-    timed_end, switched_end = (e.unwrapped._episodes.crawl.simulation.state() for e in (timed, switched))
+    timed_end, switched_end = (e.unwrapped.crawl.simulation.state() for e in (timed, switched))
     assert timed_end.fraction.max() > 0.5
     np.testing.assert_allclose(timed_end.fraction, switched_end.fraction, atol=1e-9)
     np.testing.assert_allclose(timed_end.temperature_c, switched_end.temperature_c, atol=1e-9)
