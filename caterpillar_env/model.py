@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from caterpillar_env.drawing.scenery import add_cameras, add_scenery, without_pictures
+from caterpillar_env.drawing.scenery import add_cameras, add_scenery, remove_ruler_picture
 from caterpillar_env.engine import set_options
 from caterpillar_env.gait import SPRINGS_PER_GAP, spring_names
 from caterpillar_env.ground import FOOT, SKIN, STANCE_M, add_ground, condim
@@ -72,7 +72,7 @@ def model_xml(body: Body, physics: Physics) -> str:
     builder = ModelBuilder(physics)
     builder.build(body)
     spec: Any = builder._spec
-    without_pictures(spec)
+    remove_ruler_picture(spec)
     # As described, not as compiled: only this is written with all digits.
     spec.compiler.savecompiled = False
     return str(spec.to_xml())

@@ -1,4 +1,4 @@
-"""What is written on a picture: title, time, distance, energy, and a legend of the colours."""
+"""Text on pictures: title, time, distance and energy, and a legend of the colours."""
 
 from __future__ import annotations
 
@@ -11,11 +11,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.sma import SmaSpring
-from caterpillar_env.task import Progress, label
 
-Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
-
-CONTACT_RGB = (1.0, 0.55, 0.05)  #: feet on the ground, and the spots where anything touches it
+CONTACT_RGB = (1.0, 0.55, 0.05)  #: feet that touch the ground, and spots where the robot does
 PATH_RGB = (0.55, 0.15, 0.60)
 
 _COLD = np.array([0.10, 0.35, 0.95])
@@ -25,7 +22,7 @@ _INK, _ALARM, _PANEL = (30, 30, 30), (190, 20, 20), (255, 255, 255, 185)
 
 
 class Readout(NamedTuple):
-    """What is written on a picture."""
+    """Numbers and text written on a picture."""
 
     time_s: float  #: simulated
     distance_m: float  #: of the centre of mass along the starting heading
@@ -33,19 +30,9 @@ class Readout(NamedTuple):
     failure: str = "ok"  #: name of the failure
     title: str = ""
 
-    @classmethod
-    def of(cls, progress: Progress, row: int = 0) -> Readout:
-        """What is told of one of R robots."""
-        return cls(
-            float(progress.time_s[row]),
-            float(progress.distance_m[row]),
-            float(progress.energy_j[row]),
-            label(progress.failure[row]),
-        )
-
 
 def spring_rgb(spring: SmaSpring, temperature_c: Array) -> Array:
-    """Blue at ambient, yellow where austenite forms (As), red at the cut-off: (n,) to (n, 3)."""
+    """Return colours (n, 3) of temperatures (n,): blue at ambient, yellow at As, red at the cut-off."""
     share = np.interp(
         temperature_c, [spring.ambient_c, spring.austenite_start_c, spring.cut_off_c], [0.0, 0.5, 1.0]
     )[:, None]
@@ -56,49 +43,41 @@ def spring_rgb(spring: SmaSpring, temperature_c: Array) -> Array:
 
 
 def annotate(frame: NDArray[np.uint8], readout: Readout, spring: SmaSpring) -> NDArray[np.uint8]:
-    """A picture (height, width, 3) with its readout in the left corner, the legend in the right one."""
+    """Return a picture (height, width, 3) with a readout at the upper left, a legend at the right."""
     image = Image.fromarray(frame)
     draw = ImageDraw.Draw(image, "RGBA")
     size = max(11, min(image.height // 22, image.width // 30))
-    pad = size // 2
+    font, pad = _font(size), size // 2
+    room = image.width - 5 * pad
+    legend = _legend(spring, max(10, round(0.8 * size)))
+    if legend.width < 0.6 * image.width:  # small pictures have no room for it
+        image.paste(legend, (image.width - legend.width - pad, pad), legend)
+        room -= legend.width
     numbers = (
         f"{readout.time_s:4.1f} s    {1000 * readout.distance_m:+.0f} mm    {readout.energy_j:.0f} J"
     )
-    legend = _legend(spring, max(10, round(0.8 * size)))
-    shown = legend.width < 0.6 * image.width  # small pictures have no room for it
-    room = max(image.width - legend.width * shown - 5 * pad, draw.textlength(numbers, _font(size)))
-    title = _shortened(readout.title, _font(size), room)
+    title = readout.title
+    while font.getlength(title) > max(room, font.getlength(numbers)):
+        title = title.removesuffix("...")[:-1] + "..."
     lines = [(text, _INK) for text in (title, numbers) if text]
     if readout.failure != "ok":
         lines.append((f"{readout.failure} at {readout.time_s:.1f} s", _ALARM))
-    width = max(draw.textlength(text, _font(size)) for text, _ in lines)
+    width = max(font.getlength(text) for text, _ in lines)
     box = (pad, pad, 3 * pad + width, 2 * pad + len(lines) * 1.35 * size)
     draw.rounded_rectangle(box, radius=pad, fill=_PANEL)
     for number, (text, colour) in enumerate(lines):
-        draw.text((2 * pad, 1.5 * pad + number * 1.35 * size), text, fill=colour, font=_font(size))
-    if shown:
-        image.paste(legend, (image.width - legend.width - pad, pad), legend)
+        draw.text((2 * pad, 1.5 * pad + number * 1.35 * size), text, fill=colour, font=font)
     return np.asarray(image)
 
 
-def _shortened(text: str, font: Font, room: float) -> str:
-    """As much of a text as there is room for, px."""
-    if font.getlength(text) <= room:
-        return text
-    kept = len(text)
-    while kept and font.getlength(f"{text[:kept]}...") > room:
-        kept -= 1
-    return f"{text[:kept]}..."
-
-
 @lru_cache(maxsize=32)
-def _font(size: int) -> Font:
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size)
 
 
 @lru_cache(maxsize=32)
 def _legend(spring: SmaSpring, size: int) -> Image.Image:
-    """Scale of the springs' temperature, and what spots and line mean, in letters of `size` pixels."""
+    """Draw the scale of temperatures and the meaning of spot and line, in letters of `size` pixels."""
     image = Image.new("RGBA", (17 * size, round(5.3 * size)))
     draw = ImageDraw.Draw(image)
     right, bottom = image.width - 1, image.height - 1

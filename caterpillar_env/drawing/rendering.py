@@ -25,16 +25,18 @@ from caterpillar_env.ground import clearances_m, half_axes_m, touching_geoms
 from caterpillar_env.model import build_model
 from caterpillar_env.morphology import Body, length_m, segments_of
 from caterpillar_env.physics import Physics
-from caterpillar_env.task import Crawl
+from caterpillar_env.task import Crawl, label
+
+Point = tuple[float, float, float]
 
 #: Why this machine cannot draw, once that is known: trying a broken backend again may crash Python.
 unavailable: str | None = None
 
 _CONTACT_RGBA = np.array([*CONTACT_RGB, 0.85])
 _PATH_RGBA = np.array([*PATH_RGB, 1.0])
-_CONTACT_SIZE_M = np.array([0.005, 0.0002, 0.0])  # radius and half thickness of the spot
+_SPOT_RADIUS_M, _SPOT_BOTTOM_M, _SPOT_TOP_M = 0.005, 0.0004, 0.0008
 _TOUCHING_M = 1e-4
-_PATH_WIDTH_M = 0.0008
+_PATH_RADIUS_M, _PATH_HEIGHT_M = 0.0008, 0.001
 _PATH_STEP_M = 0.002
 
 
@@ -96,10 +98,7 @@ class RobotRenderer:
             self._camera: str | mujoco.MjvCamera = mujoco.MjvCamera()
             mujoco.mjv_defaultFreeCamera(model, self._camera)
             for key, value in (view.camera_config or {}).items():
-                if np.ndim(value):
-                    getattr(self._camera, key)[:] = value
-                else:
-                    setattr(self._camera, key, value)
+                setattr(self._camera, key, value)
         else:
             self._camera = view.camera_name
         self._option = mujoco.MjvOption()
@@ -161,12 +160,15 @@ class RobotRenderer:
             canvas.disable_depth_rendering()
             return depth
         canvas.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
-        for position in self._data.geom_xpos[touching]:
-            _add_spot(canvas.scene, position)
+        for x, y, _ in self._data.geom_xpos[touching]:
+            ends = (x, y, _SPOT_BOTTOM_M), (x, y, _SPOT_TOP_M)
+            _add_cylinder(canvas.scene, *ends, _SPOT_RADIUS_M, _CONTACT_RGBA)
         if readout is not None:
             if not self.path or np.hypot(*(centre - self.path[-1])[:2]) > _PATH_STEP_M:
                 self.path.append(centre)
-            _add_path(canvas.scene, [*self.path, centre])
+            for (x, y, _), (next_x, next_y, _) in pairwise([*self.path, centre]):
+                ends = (x, y, _PATH_HEIGHT_M), (next_x, next_y, _PATH_HEIGHT_M)
+                _add_cylinder(canvas.scene, *ends, _PATH_RADIUS_M, _PATH_RGBA)
         frame: NDArray[np.uint8] = canvas.render()
         return frame if readout is None else annotate(frame, readout, self._spring)
 
@@ -250,10 +252,13 @@ class Pictures:
         A machine that cannot draw gives one warning, and None for every picture.
         """
         simulation, rows = self._crawl.simulation, np.array([row])
-        readout = Readout.of(self._crawl.progress(rows)) if self._overlay else None
+        now = self._crawl.progress(rows)
+        readout = Readout(now.time_s[0], now.distance_m[0], now.energy_j[0], label(now.failure[0]))
         (temperature_c,) = simulation.state(rows).temperature_c
         try:
-            return self.renderer(row).draw(simulation.qpos(row), temperature_c, mode, readout)
+            return self.renderer(row).draw(
+                simulation.qpos(row), temperature_c, mode, readout if self._overlay else None
+            )
         except RenderingError as error:
             warn_once(str(error))
             return None
@@ -276,28 +281,15 @@ def warn_once(text: str) -> None:
     gymnasium.logger.warn(text)
 
 
-def _add_spot(scene: mujoco.MjvScene, position: Array) -> None:
+def _add_cylinder(
+    scene: mujoco.MjvScene, start: Point, end: Point, radius_m: float, rgba: Array
+) -> None:
+    if scene.ngeom == scene.maxgeom:
+        return
+    geom, kind, zeros = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CYLINDER, np.zeros(3)
+    mujoco.mjv_initGeom(geom, kind, zeros, zeros, np.eye(3).ravel(), rgba)
+    mujoco.mjv_connector(geom, kind, radius_m, np.array(start), np.array(end))
     scene.ngeom += 1
-    mujoco.mjv_initGeom(
-        scene.geoms[scene.ngeom - 1], mujoco.mjtGeom.mjGEOM_CYLINDER, _CONTACT_SIZE_M,
-        np.array([position[0], position[1], 0.0006]), np.eye(3).ravel(), _CONTACT_RGBA,
-    )  # fmt: skip
-
-
-def _add_path(scene: mujoco.MjvScene, path: list[Array]) -> None:
-    zeros = np.zeros(3)
-    for start, end in pairwise(path):
-        if scene.ngeom == scene.maxgeom:
-            return
-        geom = scene.geoms[scene.ngeom]
-        mujoco.mjv_initGeom(
-            geom, mujoco.mjtGeom.mjGEOM_CYLINDER, zeros, zeros, np.eye(3).ravel(), _PATH_RGBA
-        )
-        mujoco.mjv_connector(
-            geom, mujoco.mjtGeom.mjGEOM_CYLINDER, _PATH_WIDTH_M,
-            np.array([*start[:2], 0.001]), np.array([*end[:2], 0.001]),
-        )  # fmt: skip
-        scene.ngeom += 1
 
 
 def _first_line(error: Exception) -> str:

@@ -1,4 +1,4 @@
-"""What a robot is drawn in: light, ground, a ruler and cameras. It touches nothing and moves nothing."""
+"""Light, ground texture, ruler and cameras of pictures. They do not change the motion."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import mujoco
 
 from caterpillar_env.morphology import Morphology, length_m
 
-#: Cameras of a drawn robot. All follow it: obliquely, at its side, from above.
+#: Cameras. All follow the robot: obliquely, from its side, from above.
 Camera = Literal["track", "side", "top"]
 CAMERAS: tuple[Camera, ...] = get_args(Camera)
 RULER = "ruler"
@@ -21,7 +21,7 @@ _RULER_Y_M = -0.045
 _PIXELS_PER_CM = 32
 _SKY, _HORIZON = [0.80, 0.87, 0.93], [0.93, 0.95, 0.96]
 
-#: Where cameras stand from the centre of mass, in body lengths, and their x and y axes in the picture.
+#: Position of cameras relative to the centre of mass, in body lengths, and their x and y axes.
 _VIEWS: dict[Camera, tuple[list[float], list[float]]] = {
     "track": ([0.0, -1.55, 0.85], [1, 0, 0, 0, 0.48, 0.877]),
     "side": ([0.0, -1.75, 0.42], [1, 0, 0, 0, 0.233, 0.972]),
@@ -30,14 +30,14 @@ _VIEWS: dict[Camera, tuple[list[float], list[float]]] = {
 
 
 def add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
-    """Light, sky, squares of 2 cm on the ground, and a ruler along x."""
+    """Add light, sky, squares of 2 cm on the ground, and a ruler along x."""
     spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
     spec.visual.headlight.diffuse = [0.25, 0.25, 0.25]
     spec.visual.map.znear = 0.02
     spec.visual.map.fogstart, spec.visual.map.fogend = 1.2, 3.5
     spec.visual.rgba.fog = [*_HORIZON, 1.0]
     spec.visual.quality.shadowsize = 1024
-    spec.visual.quality.offsamples = 0  # smooth edges would take as long as all the rest
+    spec.visual.quality.offsamples = 0  # antialiasing would double the drawing time
     spec.visual.quality.numslices, spec.visual.quality.numstacks = 14, 9
     spec.stat.extent, spec.stat.center = 0.3, [0, 0, 0.02]
     spec.add_texture(
@@ -48,9 +48,8 @@ def add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
         name="squares", type=mujoco.mjtTexture.mjTEXTURE_2D, width=128, height=128,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER, rgb1=[0.70, 0.73, 0.72], rgb2=[0.76, 0.79, 0.78],
     )  # fmt: skip
-    _add_material(
-        spec, "squares", specular=0.0, texuniform=True, texrepeat=[50, 50]
-    )  # twice as large on an endless plane
+    # On an infinite plane the squares are twice as large as `texrepeat` says.
+    _add_material(spec, "squares", specular=0.0, texuniform=True, texrepeat=[50, 50])
     ground.material = "squares"
     spec.worldbody.add_light(
         pos=[0, -0.3, 1.0], dir=[0, 0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
@@ -60,7 +59,7 @@ def add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
 
 
 def add_cameras(head: mujoco.MjsBody, segments: Sequence[Morphology], make: Callable[..., Any]) -> None:
-    """The `CAMERAS`, from far enough to have all of the body in view."""
+    """Add the `CAMERAS`, far enough away to have all of the body in view."""
     long_m = length_m(segments)
     middle_m = segments[0].segment_length_m / 4 - long_m / 2
     for name, ((x, y, z), axes) in _VIEWS.items():
@@ -74,8 +73,8 @@ def add_cameras(head: mujoco.MjsBody, segments: Sequence[Morphology], make: Call
         )  # fmt: skip
 
 
-def without_pictures(spec: mujoco.MjSpec) -> None:
-    """Give the ruler squares of 1 cm instead of its picture, which an XML cannot hold."""
+def remove_ruler_picture(spec: mujoco.MjSpec) -> None:
+    """Give the ruler squares of 1 cm instead of its picture, which MJCF cannot hold."""
     first, last = _RULER_CM
     texture = spec.texture(RULER)
     texture.data, texture.width, texture.height = b"", 64, 64
@@ -90,7 +89,7 @@ def _add_material(spec: mujoco.MjSpec, texture: str, **kwargs: Any) -> None:
 
 
 def _add_ruler(spec: mujoco.MjSpec) -> None:
-    """A tape on the ground; its zero is put where the centre of mass starts when it is drawn."""
+    """Add the ruler; a renderer moves its zero to where the centre of mass starts."""
     first, last = _RULER_CM
     width, height, pixels = _ruler_picture()
     texture = spec.add_texture(
@@ -107,8 +106,8 @@ def _add_ruler(spec: mujoco.MjSpec) -> None:
 
 @lru_cache(maxsize=1)
 def _ruler_picture() -> tuple[int, int, bytes]:
-    """Width, height and RGB bytes of the tape: a tick every centimetre, a number every fifth."""
-    from PIL import Image, ImageDraw, ImageFont  # here: a robot that is not drawn needs none of it
+    """Return width, height and RGB bytes of the ruler: ticks every centimetre, numbers every fifth."""
+    from PIL import Image, ImageDraw, ImageFont  # not needed without scenery
 
     first, last = _RULER_CM
     width, height = (last - first) * _PIXELS_PER_CM, round(_RULER_WIDTH_CM * _PIXELS_PER_CM)

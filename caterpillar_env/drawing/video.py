@@ -7,7 +7,6 @@ import os
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -17,7 +16,6 @@ import imageio_ffmpeg
 import numpy as np
 from numpy.typing import NDArray
 
-from caterpillar_env.arrays import Array
 from caterpillar_env.drawing.overlay import Readout
 from caterpillar_env.drawing.rendering import RobotRenderer, View
 from caterpillar_env.drawing.scenery import Camera
@@ -25,13 +23,10 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import length_m, segments_of
 from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.robot import AnyRobot, Outcomes
-from caterpillar_env.simulation import Trace
 from caterpillar_env.task import label
 
 Frame = NDArray[np.uint8]
 
-#: By file type. GIF counts in hundredths of a second, and its files are large.
-FRAMES_PER_SECOND = {".mp4": 25.0, ".gif": 12.5}
 _SINGLE_PX, _TILE_PX = (640, 480), (480, 360)
 _MIN_TILE_PX = 64
 _GAP_PX = 2  # between tiles
@@ -42,14 +37,12 @@ _PALETTE = (
     "split[a][b];[a]palettegen=max_colors=128:stats_mode=full[p];"
     "[b][p]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
 )
-_QUIET = ["-loglevel", "quiet"]
+_FILTERS = {".mp4": [], ".gif": ["-filter_complex", _PALETTE]}
+#: Arguments of `imageio_ffmpeg.write_frames`. GIF counts in hundredths of a second.
 _ENCODING: dict[str, dict[str, Any]] = {
-    ".mp4": {"quality": 7, "output_params": _QUIET},
-    ".gif": {
-        "codec": "gif", "pix_fmt_out": "pal8", "quality": None,
-        "output_params": [*_QUIET, "-filter_complex", _PALETTE],
-    },
-}  # fmt: skip
+    ".mp4": {"fps": 25.0, "quality": 7},
+    ".gif": {"fps": 12.5, "quality": None, "codec": "gif", "pix_fmt_out": "pal8"},
+}
 
 
 class VideoError(CaterpillarError):
@@ -112,21 +105,10 @@ class Recording:
         timestep_s: physics timestep, s; the robot's own by default.
     """
 
-    def __init__(
-        self,
-        robot: AnyRobot,
-        title: str = "",
-        *,
-        timestep_s: float | None = None,
-    ) -> None:
-        traces: list[Trace] = []
-
-        def keep(trace: Trace | None) -> None:
-            assert trace is not None
-            traces.append(trace)
-
+    def __init__(self, robot: AnyRobot, title: str = "", *, timestep_s: float | None = None) -> None:
+        traces: list[Any] = []
         self.robot, self.title = robot, title
-        self.outcomes: Outcomes = robot.simulate(timestep_s, on_interval=keep, trace=True)
+        self.outcomes: Outcomes = robot.simulate(timestep_s, on_interval=traces.append, trace=True)
         qpos = np.concatenate([t.qpos[0] for t in traces])
         # A robot that diverges is shown until its pose is no longer usable.
         shown = max(1, int(np.cumprod((np.abs(qpos) < _USABLE_M).all(axis=1)).sum()))
@@ -189,9 +171,10 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
         VideoError: another file type, pictures too small, or the file cannot be written.
     """
     config = config or VideoConfig()
-    check_kind(path)
+    check_path(path)
     width, height, columns, rows = config.layout(len(recordings))
-    fps = FRAMES_PER_SECOND[path.suffix]
+    encoding = _ENCODING[path.suffix]
+    fps = encoding["fps"]
     view_length_m = max(r.body_length_m for r in recordings)
     tile = (width - _GAP_PX * (columns - 1)) // columns, (height - _GAP_PX * (rows - 1)) // rows
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
@@ -203,16 +186,17 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
             draw(0.0)  # fail before a file is created
         canvas = np.full((height, width, 3), 255, dtype=np.uint8)
         stack.callback(partial.unlink, missing_ok=True)
-        encoding = deepcopy(_ENCODING[path.suffix])
-        digests = " ".join(recording.robot.digest for recording in recordings)
-        encoding["output_params"] += ["-metadata", f"comment={digests}"]
+        comment = f"comment={' '.join(recording.robot.digest for recording in recordings)}"
         writer = imageio_ffmpeg.write_frames(
-            str(partial), (width, height), fps=fps, macro_block_size=2, **encoding
-        )
+            str(partial), (width, height), macro_block_size=2, **encoding,
+            output_params=["-loglevel", "quiet", *_FILTERS[path.suffix], "-metadata", comment],
+        )  # fmt: skip
         stack.callback(writer.close)
         try:
             writer.send(None)
-            for time_s in _times(max(r.duration_s for r in recordings), config.speed, fps):
+            end_s = max(r.duration_s for r in recordings)
+            moving, still = math.ceil(end_s * fps / config.speed) + 1, round(_HOLD_S * fps)
+            for time_s in np.minimum(np.arange(moving + still) * config.speed / fps, end_s):
                 for number, draw in enumerate(draws):
                     row, column = divmod(number, columns)
                     x, y = column * (tile[0] + _GAP_PX), row * (tile[1] + _GAP_PX)
@@ -226,25 +210,27 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
 
 def is_video_of(path: Path, robot: AnyRobot) -> bool:
     """Return whether `write_video` made this file of this robot: best.mp4 may show an earlier one."""
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "ffmetadata", "-"]
-    metadata = subprocess.run([*command, *_QUIET], capture_output=True, text=True, check=False).stdout
+    read = [
+        imageio_ffmpeg.get_ffmpeg_exe(),
+        "-loglevel",
+        "quiet",
+        "-i",
+        str(path),
+        "-f",
+        "ffmetadata",
+        "-",
+    ]
+    metadata = subprocess.run(read, capture_output=True, text=True, check=False).stdout
     return f"comment={robot.digest}" in metadata.splitlines()
 
 
-def _times(duration_s: float, speed: float, fps: float) -> Array:
-    """Return the simulated time of each frame, s; the last one is repeated for a while."""
-    moving = math.ceil(duration_s * fps / speed) + 1
-    times: Array = np.minimum(np.arange(moving + round(_HOLD_S * fps)) * speed / fps, duration_s)
-    return times
-
-
-def check_kind(path: Path) -> None:
+def check_path(path: Path) -> None:
     """Check that a video can be written to this path.
 
     Raises:
         VideoError: neither .mp4 nor .gif, or its folder is missing or not writable.
     """
-    if path.suffix not in FRAMES_PER_SECOND:
+    if path.suffix not in _ENCODING:
         raise VideoError(f"a video must be an .mp4 or a .gif file; got {path}")
     folder = path.parent
     if not folder.is_dir() or not os.access(folder, os.W_OK):

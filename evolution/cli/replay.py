@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import tyro
 
 from caterpillar_env.drawing.rendering import RenderingError
-from caterpillar_env.drawing.video import Recording, VideoConfig, check_kind, write_video
+from caterpillar_env.drawing.video import Recording, VideoConfig, check_path, write_video
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.robot import Robot
 from caterpillar_env.task import label
@@ -64,7 +64,7 @@ def replay_command(argv: Sequence[str]) -> int:
     robots = _robots(args)
     out = args.out or _beside(args)
     if args.video:
-        check_kind(out)
+        check_path(out)
         args.picture.layout(len(robots))
     recordings, told = [], []
     for title, robot in robots:

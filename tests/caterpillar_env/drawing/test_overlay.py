@@ -4,15 +4,14 @@ from PIL import ImageDraw
 
 from caterpillar_env import SmaSpring
 from caterpillar_env.drawing.overlay import Readout, annotate, spring_rgb
-from caterpillar_env.task import Failure, Progress
 
 SPRING = SmaSpring()
 GREY = np.full((240, 320, 3), 128, dtype=np.uint8)
 PLAIN = Readout(1.0, 0.02, 3.0)
 
 
-def changed(readout, of=GREY):
-    return (annotate(of, readout, SPRING) != of).any(axis=2)
+def changed(readout):
+    return (annotate(GREY, readout, SPRING) != GREY).any(axis=2)
 
 
 def test_springs_are_blue_cold_yellow_warm_and_red_hot():
@@ -48,23 +47,23 @@ def test_legend_has_the_colours_of_the_springs():
         assert np.abs(legend - rgb).max(axis=1).min() < 0.06
 
 
-def test_numbers_are_told_in_their_units(monkeypatch):
-    said, write = [], ImageDraw.ImageDraw.text
+def test_numbers_have_units(monkeypatch):
+    written, write = [], ImageDraw.ImageDraw.text
 
-    def heard(self, at, text, **look):
-        said.append(text)
+    def record(self, at, text, **look):
+        written.append(text)
         write(self, at, text, **look)
 
-    monkeypatch.setattr(ImageDraw.ImageDraw, "text", heard)
-    spring = SmaSpring(ambient_c=21.0)  # whose legend nobody has drawn yet
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", record)
+    spring = SmaSpring(ambient_c=21.0)  # whose legend is not cached
     annotate(GREY, Readout(12.34, -0.0218, 45.6, "veered", "robot"), spring)
-    assert said == [
+    assert written == [
         "springs", "21", "68", "120 °C", "on the ground", "path",
         "robot", "12.3 s    -22 mm    46 J", "veered at 12.3 s",
     ]  # fmt: skip
 
 
-def test_failure_is_told_in_red():
+def test_failure_is_written_in_red():
     def red(readout):
         picture = annotate(GREY, readout, SPRING)[:, :140].astype(int)
         return ((picture[..., 0] > 150) & (picture[..., 1] < 80)).sum()
@@ -85,12 +84,3 @@ def test_small_pictures_keep_their_size(size):
     drawn = annotate(frame, PLAIN._replace(title="robot", failure="tipped"), SPRING)
     assert drawn.shape == frame.shape
     assert not drawn[:, 160:].any()  # no room for the legend
-
-
-def test_readout_of_a_row():
-    progress = Progress(
-        np.array([1.0, 2.0]), np.array([0.1, 0.2]), np.zeros(2), np.zeros(2), np.array([3.0, 4.0]),
-        np.zeros(2), np.array([Failure.NONE, Failure.TIPPED]),
-    )  # fmt: skip
-    assert Readout.of(progress) == (1.0, 0.1, 3.0, "ok", "")
-    assert Readout.of(progress, 1) == (2.0, 0.2, 4.0, "tipped", "")
