@@ -12,6 +12,7 @@ import numpy as np
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.robot import Outcomes, Robot
 from caterpillar_env.task import Failure
 from evolution.config import RunConfig
@@ -163,18 +164,14 @@ class History:
     def table(self) -> polars.DataFrame:
         """One row per evaluation: outcome, fitness and all genes in SI units.
 
-        The fitness is null where the run maximised the user's own objective, which is not recorded.
+        The fitness is null for a training, and where the run maximised the user's own objective.
         """
         import polars
 
-        names = [gene.name for gene in self.config.encoding.genes]
-        values = np.empty((0, len(names)))
-        if self.evaluations:
-            genomes = np.array([e.genome for e in self.evaluations])
-            values = gene_values(*self.config.encoding.decode(genomes))
+        names, values = self._gene_values()
         outcomes = to_outcomes(self.evaluations)
         fitness: Any = [None] * len(self.evaluations)
-        if self.own_objective is None:
+        if self.kind == "evolution" and self.own_objective is None:
             fitness = score(OBJECTIVES[self.config.objective], outcomes, self.config.failed_fitness)
         columns: dict[str, Any] = {
             "evaluation": np.array([e.number for e in self.evaluations], dtype=np.int64),
@@ -187,6 +184,17 @@ class History:
             "session": np.array([e.session for e in self.evaluations], dtype=np.int64),
         }
         return polars.DataFrame(columns | {name: values[:, i] for i, name in enumerate(names)})
+
+    def _gene_values(self) -> tuple[list[str], Array]:
+        """Names and values in SI units, (E, n), of the genes; those of a training are of the body."""
+        genomes = [e.genome for e in self.evaluations]
+        if self.kind == "training":
+            bodies = [Morphology.from_unit(genome).to_array() for genome in genomes]
+            return list(NAMES), np.reshape(bodies, (len(genomes), len(NAMES)))
+        names = [gene.name for gene in self.config.encoding.genes]
+        if not genomes:
+            return names, np.empty((0, len(names)))
+        return names, gene_values(*self.config.encoding.decode(np.array(genomes)))
 
     def replay(self, genomes: Array) -> int:
         """Number of genomes (P, n) of the next generation that are in the journal already.

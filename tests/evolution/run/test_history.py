@@ -89,14 +89,14 @@ def test_robots_of_all_kinds_are_exported(tmp_path, genome):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["export", "nowhere"], "it is no run folder"),
+        (["export", "nowhere"], "is not a run folder"),
         (["export", "done", "--to", "xlsx"], "--to"),
         (["export", "done", "--out", "missing/rows.csv"], "choose another place with --out"),
         (["export", "damaged"], "is damaged"),
         (["export", "done/best.json"], "give the folder, or --to mjcf for the model of the robot"),
         (["export", "done", "--to", "csv", "--out", "robot.xml"], "contradict"),
         (["export", "nowhere", "--to", "mjcf"], "give a run folder or the JSON file of one robot"),
-        (["export", "empty", "--to", "mjcf"], "empty holds no best.json: it is no run folder, or no"),
+        (["export", "empty", "--to", "mjcf"], "empty holds no best.json"),
         (["export", "done", "--to", "mjcf", "--out", "missing/robot.xml"], "cannot write missing/robot"),
         (["export", "done", "--to", "mjcf", "--out", "empty"], "choose another place with --out"),
         (["export", "policy.json", "--to", "mjcf"], "a trained policy crawls by caterpillar rl eval"),

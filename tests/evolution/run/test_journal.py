@@ -16,6 +16,7 @@ from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure
 from evolution.run.database import JournalDamagedError, JournalError, is_in_use
 from evolution.run.journal import FILE, Journal
+from evolution.run.records import Completion, Evaluation
 
 CONFIGURATION = {"seed": 3, "generations": 2}
 
@@ -26,17 +27,28 @@ def outcomes(count, seed=0):
     return Outcomes(codes, *rng.normal(size=(3, count)))
 
 
+def rows_of(genomes, results, generation=0, first=0):
+    """Evaluations of genomes (P, n) with these outcomes."""
+    columns = [column.tolist() for column in results]
+    return [
+        Evaluation(first + i, generation, genome, Failure(code), *values, session=0)
+        for i, (genome, code, *values) in enumerate(zip(genomes, *columns, strict=True))
+    ]
+
+
 def written(folder, parts=(3, 2)):
-    """A journal with some evaluations, its genomes and what became of them."""
+    """A journal with two generations; its genomes and outcomes."""
     genomes = np.random.default_rng(1).random((sum(parts), 4))
     results = outcomes(sum(parts))
     with Journal.create(folder, CONFIGURATION) as journal:
-        session, first = journal.begin(), 0
+        journal.begin()
+        first = 0
         for generation, size in enumerate(parts):
             rows = slice(first, first + size)
             part = Outcomes(*(column[rows] for column in results))
-            journal.append(first, generation, genomes[rows], part, session)
+            journal.append(rows_of(genomes[rows], part, generation, first))
             first += size
+            journal.complete(Completion(generation, first, None, None))
     return genomes, results
 
 
@@ -86,12 +98,12 @@ def test_a_newer_schema_is_refused(tmp_path):
 
 
 def test_what_is_no_journal_is_refused(tmp_path):
-    with pytest.raises(JournalError, match="it is no run folder"):
+    with pytest.raises(JournalError, match="is not a run folder"):
         Journal(tmp_path)
     db = sqlite3.connect(tmp_path / FILE)
     db.execute("CREATE TABLE recipes (name TEXT)")
     db.close()
-    with pytest.raises(JournalError, match="SQLite file of something else"):
+    with pytest.raises(JournalError, match="SQLite file of another program"):
         Journal(tmp_path)
     with pytest.raises(JournalError, match="exists already"):
         Journal.create(tmp_path, CONFIGURATION)
@@ -126,7 +138,7 @@ def test_flipped_bits_are_never_taken_for_data(tmp_path, seed):
     place = content.index(genomes[victim].tobytes()) + int(rng.integers(0, size))
     content[place] ^= 1 << int(rng.integers(0, 8))
     path.write_bytes(content)
-    with pytest.raises(JournalDamagedError, match=rf"evaluation {victim} (is not as|cannot be)"):
+    with pytest.raises(JournalDamagedError, match=rf"evaluation {victim} (was altered|cannot be)"):
         Journal(tmp_path)
     assert Journal.repair(tmp_path) == victim
 
@@ -152,7 +164,7 @@ def test_nothing_can_be_kept_of_a_file_without_its_beginning(tmp_path):
     (tmp_path / FILE).write_bytes(b"\0" * 5000)
     with pytest.raises(JournalError):
         Journal(tmp_path)
-    with pytest.raises(JournalError, match="nothing can be kept, start anew"):
+    with pytest.raises(JournalError, match="nothing can be kept"):
         Journal.repair(tmp_path)
 
 
@@ -160,18 +172,19 @@ FULL_DISK = """
 import resource, sys
 import numpy as np
 from pathlib import Path
-from evolution.run.journal import Journal
+from caterpillar_env.task import Failure
 from evolution.run.database import JournalError
-from caterpillar_env.robot import Outcomes
+from evolution.run.journal import Journal
+from evolution.run.records import Evaluation
 folder = Path(sys.argv[1])
 journal = Journal.create(folder, {"seed": 3})
-session = journal.begin()
+journal.begin()
 resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
-nothing = np.zeros(50)
+genome = np.full(20, 0.5)
 try:
     for first in range(0, 100_000, 50):
-        part = Outcomes(nothing.astype(np.int8), nothing, nothing, nothing)
-        journal.append(first, 0, np.full((50, 20), first / 1e6), part, session)
+        numbers = range(first, first + 50)
+        journal.append([Evaluation(i, 0, genome, Failure.NONE, 0.0, 0.0, 0.0, 0) for i in numbers])
 except JournalError as error:
     print(first, error)
 """
@@ -193,14 +206,15 @@ WRITER = """
 import sys
 import numpy as np
 from pathlib import Path
+from caterpillar_env.task import Failure
 from evolution.run.journal import Journal
-from caterpillar_env.robot import Outcomes
+from evolution.run.records import Evaluation
 journal = Journal.create(Path(sys.argv[1]), {"seed": 3})
-session = journal.begin()
-nothing = np.zeros(5)
+journal.begin()
+genome = np.full(20, 0.5)
 for first in range(0, 1_000_000, 5):
-    part = Outcomes(nothing.astype(np.int8), nothing, nothing, nothing)
-    journal.append(first, 0, np.full((5, 20), first / 1e7), part, session)
+    numbers = range(first, first + 5)
+    journal.append([Evaluation(i, 0, genome, Failure.NONE, 0.0, 0.0, 0.0, 0) for i in numbers])
     print(first + 5, flush=True)
 """
 
@@ -223,22 +237,35 @@ def test_killed_in_the_middle_of_writing_loses_nothing_committed(tmp_path, trial
     shutil.rmtree(tmp_path)
 
 
-# Where it lies
+# What else is recorded
 
 
-@pytest.mark.parametrize(
-    ("mounts", "mode"),
-    [("dev / ext4 rw 0 0\n", "wal"), ("dev / ext4 rw 0 0\nserver {} nfs4 rw 0 0\n", "delete")],
-)
-def test_network_file_systems_get_a_rollback_journal(tmp_path, monkeypatch, mounts, mode):
-    table = tmp_path / "mounts"
-    table.write_text(mounts.format(tmp_path / "far"))
-    monkeypatch.setattr("evolution.run.database._MOUNTS", table)
-    folder = tmp_path / "far" / "run"
-    folder.mkdir(parents=True)
-    with Journal.create(folder, {}) as journal:
-        assert journal._db.execute("PRAGMA journal_mode").fetchone() == (mode,)
-        assert journal._db.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL: power may fail
+def test_the_ends_of_generations_come_back(tmp_path):
+    with Journal.create(tmp_path, CONFIGURATION) as journal:
+        journal.begin()
+        ends = [Completion(0, 3, None, None), Completion(1, 5, 4, 0.1)]
+        for end in ends:
+            journal.complete(end)
+        assert journal.generations() == ends
+    db = sqlite3.connect(tmp_path / FILE)
+    with db:
+        db.execute("UPDATE generations SET best = 3 WHERE generation = 1")
+    db.close()
+    with Journal(tmp_path) as journal, pytest.raises(JournalDamagedError, match="generation 1"):
+        journal.generations()
+
+
+def test_a_journal_of_the_first_schema_is_read_and_upgraded(tmp_path):
+    written(tmp_path)
+    db = sqlite3.connect(tmp_path / FILE)
+    db.executescript("DROP TABLE generations; PRAGMA user_version = 1;")
+    db.close()
+    with Journal(tmp_path, read_only=True) as journal:
+        assert journal.generations() == []
+        assert len(list(journal.evaluations())) == 5
+    with Journal(tmp_path) as journal:
+        journal.complete(Completion(0, 3, None, None))
+        assert journal.generations() == [Completion(0, 3, None, None)]
 
 
 def test_a_journal_can_be_looked_at_while_it_is_written(tmp_path):
@@ -255,10 +282,10 @@ def test_sessions_tell_when_they_began_and_ended(tmp_path):
     with Journal.create(tmp_path, CONFIGURATION) as journal:
         assert not journal.finished
         journal.begin()
-        journal.finish(journal.begin())
+        journal.begin()
+        journal.finish()
         stopped, finished = journal.sessions
         assert journal.finished
-        assert journal.wall_s is None  # it was not finished in its first session
     assert (stopped.number, finished.number) == (1, 2)
     assert stopped.finished is stopped.wall_s is None
     assert 0 <= finished.wall_s < 60

@@ -22,7 +22,7 @@ from evolution.run.evaluators import EvaluationError, LocalEvaluator
 from evolution.run.history import RunError, load
 from evolution.run.journal import Journal, fingerprint
 from evolution.run.loop import evolve, resume
-from evolution.run.objective import ObjectiveError
+from evolution.run.objective import OBJECTIVES, ObjectiveError, find_best, score
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
 #: So stiff, and so coarsely stepped, that every robot's integration breaks down at once.
@@ -214,7 +214,7 @@ def test_interrupt_before_the_first_generation_leaves_an_empty_record(tmp_path):
         raise KeyboardInterrupt
 
     result = evolve(TINY, tmp_path, evaluator=ONE, on_progress=stop)
-    assert result == (None, [], False)
+    assert (result.best_robot, result.generations, result.finished) == (None, [], False)
     assert rows(tmp_path) == []
     assert not (tmp_path / "best.json").exists()
 
@@ -374,7 +374,7 @@ def test_configuration_survives_json():
         ({"prior": "hopeful"}, "prior = 'hopeful'"),
         ({"floor_ratio": 1.0}, "floor_ratio = 1.0"),
         ({"floor_ratio": np.inf}, "floor_ratio = inf"),
-        ({"failed_fitness": -0.1}, "failed_fitness = -0.1"),
+        ({"failed_fitness": float("inf")}, "failed_fitness = inf"),
         ({"failed_fitness": np.nan}, "failed_fitness = nan"),
         ({"failed_fitness": np.inf}, "failed_fitness = inf"),
         ({"gait_period_s": 0.0}, "gait_period_s"),
@@ -449,7 +449,7 @@ def test_a_run_can_be_made_longer_and_not_shorter(tmp_path):
         .equals(load(tmp_path / "long").table().drop("session"))
     )
     assert len(longer.generations) == 5
-    with pytest.raises(RunError, match="a run can only be made longer: generations is 5"):
+    with pytest.raises(RunError, match="a run can only be made longer: it has 5 generations"):
         resume(tmp_path / "short", generations=3)
 
 
@@ -479,7 +479,7 @@ def test_genome_that_differs_in_replay_is_an_error_that_says_so(tmp_path):
         journal.configure({**replace(TINY, seed=9).to_dict(), "own_optimizer": None})
     with pytest.raises(RunError, match=r"evaluation 0 in .* is of another genome") as told:
         resume(tmp_path)
-    assert "start anew" in str(told.value)
+    assert "start a new run" in str(told.value)
 
 
 def test_other_versions_are_told_on_resume(tmp_path, monkeypatch):
@@ -491,7 +491,7 @@ def test_other_versions_are_told_on_resume(tmp_path, monkeypatch):
     monkeypatch.setattr("evolution.run.loop.fingerprint", lambda: now)
     resume(tmp_path, evaluator=ONE, on_warning=told.append)
     assert len(told) == 2
-    assert "session 1 (evaluations 0 to 3) ran under mujoco 4." in told[0]
+    assert "session 1 (evaluations 0 to 3) ran with mujoco 4." in told[0]
     assert "(now 9.9.9)" in told[0]
 
 
@@ -528,7 +528,7 @@ def test_an_optimizer_from_elsewhere_drives_a_run_and_its_resumption(tmp_path):
     config = RunConfig(generations=3, physics=SHORT)
     evolve(config, tmp_path / "whole", evaluator=ONE, optimizer=Halves(12))
     evolve(replace(config, generations=2), tmp_path / "part", evaluator=ONE, optimizer=Halves(12))
-    with pytest.raises(RunError, match=r"an optimizer of your own \(Halves\)"):
+    with pytest.raises(RunError, match=r"your own optimizer \(Halves\)"):
         resume(tmp_path / "part")
     resume(tmp_path / "part", generations=3, evaluator=ONE, optimizer=Halves(12))
     assert (
@@ -570,7 +570,7 @@ def test_an_objective_of_ones_own_is_told_to_the_optimizer(tmp_path):
 def test_a_run_with_an_objective_of_ones_own_goes_on_with_it_alone(tmp_path):
     evolve(CONFIG, tmp_path / "whole", evaluator=ONE, objective=thrift)
     evolve(replace(CONFIG, generations=2), tmp_path / "part", evaluator=ONE, objective=thrift)
-    with pytest.raises(RunError, match=r"an objective of your own \(thrift\); .*objective=\.\.\."):
+    with pytest.raises(RunError, match=r"your own objective \(thrift\); .*objective=\.\.\."):
         resume(tmp_path / "part", generations=3)
     resume(tmp_path / "part", generations=3, evaluator=ONE, objective=thrift)
     part, whole = load(tmp_path / "part").table(), load(tmp_path / "whole").table()
@@ -584,7 +584,6 @@ def test_a_run_with_an_objective_of_ones_own_goes_on_with_it_alone(tmp_path):
 @pytest.mark.parametrize(
     "objective",
     [
-        lambda outcomes: -1 - outcomes.energy_j,
         lambda outcomes: outcomes.energy_j * np.nan,
         lambda outcomes: outcomes.energy_j.sum(),
     ],
@@ -592,6 +591,27 @@ def test_a_run_with_an_objective_of_ones_own_goes_on_with_it_alone(tmp_path):
 def test_an_objective_that_gives_no_fitness_is_refused(tmp_path, objective):
     with pytest.raises(ObjectiveError, match=r"must return 4 finite numbers, .* shape \(4,\); got"):
         evolve(CONFIG, tmp_path / "run", evaluator=ONE, objective=objective)
+
+
+def test_an_objective_may_be_negative(tmp_path):
+    def cost(outcomes):
+        return -outcomes.energy_j
+
+    config = replace(CONFIG, failed_fitness=-1e6)
+    history = evolve(config, tmp_path / "run", evaluator=ONE, objective=cost)
+    healthy = history.table().filter(failure="ok")
+    assert history.best.energy_j == healthy["energy_j"].min()
+
+
+def test_the_best_robot_crawled_forwards_without_failing():
+    failure = np.array([Failure.TIPPED, 0, 0, 0])
+    energy_j = np.array([1.0, 1.0, 2.0, 1.0])
+    outcomes = Outcomes(failure, np.array([0.5, -0.1, 0.3, 0.3]), energy_j, np.full(4, 30.0))
+    assert find_best(OBJECTIVES["distance"], outcomes) == (2, 0.3)  # the first of equals
+    assert find_best(OBJECTIVES["distance-per-energy"], outcomes) == (3, 0.3)
+    backwards = Outcomes(*(column[:2] for column in outcomes))
+    assert find_best(OBJECTIVES["distance"], backwards) is None
+    assert find_best(lambda o: -o.distance_m, backwards) == (1, 0.1)  # what counts is the user's choice
 
 
 def test_an_exception_in_evaluation_stops_the_run_with_the_genome(tmp_path, monkeypatch):
