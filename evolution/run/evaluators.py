@@ -1,7 +1,7 @@
-"""Where genomes are evaluated: on this machine's threads, or on the workers of a Ray cluster.
+"""Where genomes are evaluated: on the cores of this machine, or on the workers of a Ray cluster.
 
-A result depends on the genome and its encoding alone, bit for bit: not on the evaluator, the number of
-workers, or which genomes are evaluated side by side.
+A result depends only on the genome and its encoding, bit for bit. It does not depend on the evaluator,
+the number of workers, or the genomes that are evaluated together.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 from caterpillar_env.arrays import Array
@@ -18,15 +19,16 @@ from caterpillar_env.robot import Outcomes, simulate
 from caterpillar_env.task import EPISODE_S
 from evolution.genome import Encoding
 
-CHUNK = 50  #: genomes that are evaluated, and recorded, together
+CHUNK = 50  #: number of genomes that are evaluated and recorded together
+_CONNECT_TIMEOUT_S = 5.0
 
 
 class EvaluationError(CaterpillarError):
-    """An evaluation raised something; the run stops, and nothing is scored."""
+    """An evaluation raised an exception, or the evaluator cannot be used; nothing is scored."""
 
 
 class Evaluator(Protocol):
-    """Evaluates chunks of genomes; a context that frees what it holds."""
+    """Evaluates chunks of genomes. A context manager that releases its workers."""
 
     def __enter__(self) -> Evaluator: ...
 
@@ -38,9 +40,12 @@ class Evaluator(Protocol):
         chunks: Sequence[Array],
         on_progress: Callable[[float], None] | None = None,
     ) -> Iterator[Outcomes]:
-        """The outcomes of each chunk, in the order of the chunks, as they are done.
+        """Yield the outcomes of each chunk, in order.
 
-        `on_progress` is told the share of a chunk that is done beyond those already given.
+        Args:
+            encoding: meaning of the genomes.
+            chunks: arrays of genomes, each of shape (P, n).
+            on_progress: called with the share of the next chunk that is evaluated, in [0, 1].
         """
         ...
 
@@ -53,18 +58,18 @@ def evaluate(
     duration_s: float = EPISODE_S,
     on_progress: Callable[[float], None] | None = None,
 ) -> Outcomes:
-    """Let the robots of P genomes crawl side by side, each until it fails.
+    """Simulate the robots of P genomes side by side, each until it fails.
 
     Args:
         genomes: in [0, 1], shape (P, n).
-        encoding: what they stand for; the gait period a whole number of control intervals.
-        threads: 0 means all cores; results do not depend on it.
-        duration_s: how long each crawls.
-        on_progress: told the share that is done.
+        encoding: meaning of the genomes.
+        threads: number of threads; 0 for all usable cores. Results do not depend on it.
+        duration_s: simulated time of each robot, s.
+        on_progress: called with the share that is simulated, in [0, 1].
     """
     intervals = 0
 
-    def tick(_: object) -> None:
+    def report(_: object) -> None:
         nonlocal intervals
         intervals += 1
         if on_progress is not None:
@@ -72,15 +77,38 @@ def evaluate(
 
     bodies, timings = encoding.decode(genomes)
     return simulate(
-        bodies, timings, encoding.physics, threads=threads, duration_s=duration_s, on_interval=tick
+        bodies, timings, encoding.physics, threads=threads, duration_s=duration_s, on_interval=report
     )
 
 
+def evaluate_chunk(genomes: Array, encoding: Encoding, **kwargs: Any) -> Outcomes:
+    """Evaluate genomes (P, n); an exception names the genome that caused it.
+
+    Raises:
+        EvaluationError: an evaluation raised an exception.
+    """
+    try:
+        return evaluate(genomes, encoding, **kwargs)
+    except Exception as error:
+        for genome in genomes:
+            try:
+                evaluate(genome[None], encoding, threads=1)
+            except Exception as cause:
+                raise EvaluationError(
+                    f"evaluating a genome failed with {type(cause).__name__}: {cause}. The genome was "
+                    f"{genome.tolist()}"
+                ) from cause
+        raise EvaluationError(
+            f"evaluating {len(genomes)} genomes together failed with {type(error).__name__}: {error}; "
+            "each of them alone did not fail"
+        ) from error
+
+
 class LocalEvaluator:
-    """Threads of this process.
+    """Evaluates on threads of this process.
 
     Args:
-        threads: 0 means all cores; results do not depend on it.
+        threads: number of threads; 0 for all usable cores. Results do not depend on it.
     """
 
     def __init__(self, threads: int = 0) -> None:
@@ -100,73 +128,30 @@ class LocalEvaluator:
     ) -> Iterator[Outcomes]:
         """See `Evaluator.map`."""
         for chunk in chunks:
-            yield explained(chunk, encoding, threads=self._threads, on_progress=on_progress)
-
-
-def explained(genomes: Array, encoding: Encoding, **kwargs: Any) -> Outcomes:
-    """Evaluate; what goes wrong is told with the genome that caused it.
-
-    Raises:
-        EvaluationError: an evaluation raised an exception, here or at a second try one by one.
-    """
-    try:
-        return evaluate(genomes, encoding, **kwargs)
-    except Exception as error:
-        for genome in genomes:
-            try:
-                evaluate(genome[None], encoding, threads=1)
-            except Exception as cause:
-                raise EvaluationError(
-                    f"evaluating a genome failed with {type(cause).__name__}: {cause}. The genome was "
-                    f"{genome.tolist()}"
-                ) from cause
-        raise EvaluationError(
-            f"evaluating {len(genomes)} genomes together failed with {type(error).__name__}: {error}; "
-            "each of them alone did not"
-        ) from error
+            yield evaluate_chunk(chunk, encoding, threads=self._threads, on_progress=on_progress)
 
 
 class RayEvaluator:
-    """Workers of a Ray cluster, a chunk to each at a time; the chunk of a lost one is evaluated anew.
+    """Evaluates on the workers of a Ray cluster, one chunk per worker at a time.
+
+    The chunk of a lost worker is evaluated again elsewhere.
 
     Args:
-        address: of a running cluster ("auto" finds the one that this machine belongs to); None starts
-            one on this machine, which ends with the evaluator.
+        address: see `connect_ray`.
 
     Raises:
-        EvaluationError: Ray is not installed, or no cluster can be reached.
+        EvaluationError: see `connect_ray`.
     """
 
     def __init__(self, address: str | None = None) -> None:
-        self._address = address
-        self._started = False
+        self._connection = connect_ray(address)
 
     def __enter__(self) -> RayEvaluator:
-        try:
-            import ray
-        except ImportError:
-            raise EvaluationError(
-                "the Ray evaluator needs Ray: pip install 'caterpillar-sma[ray]'"
-            ) from None
-        if not ray.is_initialized():
-            _reachable(self._address)
-            os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-            try:
-                ray.init(
-                    self._address, log_to_driver=False, include_dashboard=False, logging_level="ERROR"
-                )
-            except (ConnectionError, ValueError, RuntimeError) as error:
-                raise EvaluationError(
-                    f"no Ray cluster at {self._address or 'this machine'}: {error}"
-                ) from None
-            self._started = True
+        self._connection.__enter__()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        import ray
-
-        if self._started:
-            ray.shutdown()
+    def __exit__(self, *exception: Any) -> None:
+        self._connection.__exit__(*exception)
 
     def map(
         self,
@@ -174,11 +159,11 @@ class RayEvaluator:
         chunks: Sequence[Array],
         on_progress: Callable[[float], None] | None = None,
     ) -> Iterator[Outcomes]:
-        """See `Evaluator.map`; progress is told by whole chunks only."""
+        """See `Evaluator.map`; `on_progress` is not called, because workers report whole chunks."""
         import ray
 
-        # As many workers as cores, one thread each; a lost worker's task is started again elsewhere.
-        remote = ray.remote(num_cpus=1, max_retries=-1)(explained)
+        # One thread per task, as many tasks as cores. Ray restarts the task of a lost worker.
+        remote = ray.remote(num_cpus=1, max_retries=-1)(evaluate_chunk)
         shared = ray.put(encoding)
         pending = [remote.remote(chunk, shared, threads=1) for chunk in chunks]
         try:
@@ -190,20 +175,50 @@ class RayEvaluator:
                 del pending[0]
                 yield outcomes
         finally:
-            # Only what nobody has: to cancel by force what is just done aborts Ray 2.60, and us with it.
+            # Cancel only pending tasks: force-cancelling a finished one crashes Ray 2.60.
             for reference in pending:
                 ray.cancel(reference)
 
 
-def _reachable(address: str | None) -> None:
-    """Whether somebody listens there; Ray itself tries for minutes, and then ends the process."""
+@contextmanager
+def connect_ray(address: str | None = None) -> Iterator[None]:
+    """Connect to a Ray cluster, or keep the connection that exists.
+
+    Args:
+        address: of a running cluster; "auto" finds the one that this machine belongs to. None starts a
+            cluster on this machine, which ends with the context.
+
+    Raises:
+        EvaluationError: Ray is not installed, or no cluster can be reached.
+    """
+    try:
+        import ray
+    except ImportError:
+        raise EvaluationError("Ray is not installed: pip install 'caterpillar-sma[ray]'") from None
+    if ray.is_initialized():
+        yield
+        return
+    _check_reachable(address)
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    try:
+        ray.init(address, log_to_driver=False, include_dashboard=False, logging_level="ERROR")
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        raise EvaluationError(f"no Ray cluster at {address or 'this machine'}: {error}") from None
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _check_reachable(address: str | None) -> None:
+    """Raise an error if nothing listens at HOST:PORT; Ray would retry for minutes and then abort."""
     host, _, port = (address or "").removeprefix("ray://").rpartition(":")
     if not port.isdigit():
-        return  # "auto", "local" or none: Ray knows
+        return  # "auto", "local" or None
     try:
-        socket.create_connection((host, int(port)), timeout=5).close()
+        socket.create_connection((host, int(port)), timeout=_CONNECT_TIMEOUT_S).close()
     except OSError as error:
         raise EvaluationError(
-            f"no Ray cluster at {address} ({error.strerror or error}); `ray start --head` begins one; "
-            "without an address one is started on this machine"
+            f"no Ray cluster at {address} ({error.strerror or error}); `ray start --head` starts one; "
+            "without an address, one is started on this machine"
         ) from None

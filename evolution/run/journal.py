@@ -317,3 +317,19 @@ def _find(folder: Path) -> Path:
             f"{folder} is not a run folder: it contains no {FILE}; give a folder that caterpillar made"
         )
     return path
+
+
+def read_progress(folder: Path) -> tuple[float, float]:
+    """Simulated seconds and greatest distance in m without failure so far; zeros without a journal.
+
+    Cheap enough to poll a run: it reads no genomes and checks no digests.
+    """
+    try:
+        with closing(sqlite3.connect(f"{(folder / FILE).resolve().as_uri()}?mode=ro", uri=True)) as db:
+            spent_s, best_m = db.execute(
+                "SELECT total(simulated_s), max(CASE failure WHEN 'ok' THEN distance_m ELSE 0 END) "
+                "FROM evaluations"
+            ).fetchone()
+    except sqlite3.Error:
+        return 0.0, 0.0
+    return spent_s, max(best_m or 0.0, 0.0)
