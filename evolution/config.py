@@ -15,8 +15,8 @@ from evolution.optimizers.base import Optimizer
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
 from evolution.optimizers.random_search import RandomSearch, Sampling
-from evolution.priors.distributions import Distribution, Uniform
-from evolution.priors.preprocessor import Clipping, paper_priors
+from evolution.priors.distributions import Clipping, Distribution, Uniform
+from evolution.priors.preprocessor import paper_priors
 from evolution.run.objective import ObjectiveName
 
 OptimizerName = Literal["ga", "cma-es", "random"]
@@ -130,7 +130,7 @@ class RunConfig:
         """How many genomes the whole run evaluates; without restarts, in the case of CMA-ES."""
         ga = self.ga
         if self.optimizer == "ga":
-            return ga.population + (self.generations - 1) * (ga.population - ga.hall_of_fame)
+            return ga.population + (self.generations - 1) * (ga.population - ga.elites)
         if self.optimizer == "random":
             return ga.population * self.generations
         default = 4 + int(3 * np.log(len(self.encoding.genes)))

@@ -1,11 +1,12 @@
-"""The genome: genes of morphology, then times of power on and off.
+"""The genome: morphology genes, then the times at which the power is switched on and off.
 
-A genome is a point of [0, 1]^n; 0 and 1 are a gene's bounds in SI units. Kinds (n for four segments):
+A genome is a point in [0, 1]^n, where 0 and 1 are the bounds of a gene in SI units. Its kind is one of
+(n for four segments):
 
-- `shared`, n = 20: 8 genes of morphology that all segments share, times of the mirrored pairs (Saunders
-  2009, section III).
-- `full`, n = 32: every spring has times of its own.
-- `per-segment`, n = 44: every segment has 8 genes of morphology of its own, times of the mirrored pairs.
+- `shared`, n = 20: 8 morphology genes for all segments, times of the left-right pairs of springs
+  (Saunders 2009, section III).
+- `full`, n = 32: times of every spring.
+- `per-segment`, n = 44: 8 morphology genes for each segment, times of the pairs.
 """
 
 from __future__ import annotations
@@ -19,17 +20,19 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, pair_names, spring_names
+from caterpillar_env.errors import CaterpillarError, check_choice
+from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, count_steps, pair_names, spring_names
 from caterpillar_env.morphology import PARAMETERS, Body, Morphology
-from caterpillar_env.physics import Physics
+from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.robot import Robot
 
 GenomeKind = Literal["shared", "full", "per-segment"]
 
+_DISPLAY_UNITS = {"m": (1000.0, "mm"), "kg": (1000.0, "g"), "rad": (math.degrees(1.0), "°")}
+
 
 class GenomeError(CaterpillarError):
-    """A genome is of the wrong length, not finite or outside [0, 1]."""
+    """A genome has the wrong length, or a value that is not finite or outside [0, 1]."""
 
 
 class Gene(NamedTuple):
@@ -40,70 +43,74 @@ class Gene(NamedTuple):
     unit: str
     lower: float
     upper: float
-    parameter: str  #: its name without the segment: what the preprocessor has a rule for
+    parameter: str  #: the name without the segment, as the design parameters use it
 
     @property
     def title(self) -> str:
-        """Its name in words, without the unit."""
+        """The name in words, without the unit."""
         return self.name.removesuffix(f"_{self.unit}").replace("_", " ")
 
     @property
     def shown(self) -> tuple[float, str]:
-        """A factor and the unit to which it takes values for people to read: mm, g, °."""
-        return _SHOWN.get(self.unit, (1.0, self.unit))
-
-
-_SHOWN = {"m": (1000.0, "mm"), "kg": (1000.0, "g"), "rad": (math.degrees(1.0), "°")}
+        """A factor to the unit in which values are displayed, and that unit: mm, g, °."""
+        return _DISPLAY_UNITS.get(self.unit, (1.0, self.unit))
 
 
 @dataclass(frozen=True)
 class Encoding:
-    """What the genomes of a run stand for: robots of some physics with a body and a gait each."""
+    """Maps genomes to robots: a body and a gait each, in the same physics.
+
+    Raises:
+        CaterpillarError: the kind is unknown, or the period is not a multiple of the control interval.
+    """
 
     physics: Physics = field(default_factory=Physics)
     gait_period_s: float = GAIT_PERIOD_S
     kind: GenomeKind = "shared"
 
+    def __post_init__(self) -> None:
+        check_choice("genome", self.kind, GenomeKind, GenomeError)
+        count_steps(self.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
+
     @cached_property
     def genes(self) -> tuple[Gene, ...]:
-        """The genes in their order: morphology, then times of each pair or spring; head to tail."""
-        segments = range(1, self.physics.num_segments + 1)
+        """The genes in order: morphology, then times; both from head to tail."""
+        count = self.physics.num_segments
+        prefixes = [f"segment{i + 1}_" for i in range(count)] if self.kind == "per-segment" else [""]
+        springs = spring_names(count) if self.kind == "full" else pair_names(count)
         body = [
-            Gene(segment + p.name, p.symbol, p.unit, p.lower, p.upper, p.name)
-            for segment in ([f"segment{i}_" for i in segments] if self.kind == "per-segment" else [""])
+            Gene(prefix + p.name, p.symbol, p.unit, p.lower, p.upper, p.name)
+            for prefix in prefixes
             for p in PARAMETERS
         ]
-        timed = (spring_names if self.kind == "full" else pair_names)(self.physics.num_segments)
-        control = [
-            Gene(name, f"t_{edge}", "s", 0.0, self.gait_period_s, name)
-            for one in timed
-            for edge in ("on", "off")
-            for name in (f"{one}_{edge}_s",)
-        ]
-        return (*body, *control)
+        edges = [(f"{spring}_{edge}_s", f"t_{edge}") for spring in springs for edge in ("on", "off")]
+        times = [Gene(name, symbol, "s", 0.0, self.gait_period_s, name) for name, symbol in edges]
+        return (*body, *times)
 
     def check(self, genomes: Array) -> Array:
-        """`genomes` as an array of shape (P, n).
+        """Validate genomes (P, n), or a single one (n,); returns an array of shape (P, n).
 
         Raises:
             GenomeError: wrong shape, or a value that is not in [0, 1].
         """
         array = np.asarray(genomes, dtype=np.float64)
-        if array.ndim != 2 or array.shape[1] != len(self.genes):
-            raise GenomeError(f"genomes must have shape (P, {len(self.genes)}); got {array.shape}")
+        array = array[None] if array.ndim == 1 else array
+        n = len(self.genes)
+        if array.ndim != 2 or array.shape[1] != n:
+            raise GenomeError(f"genomes must have shape ({n},) or (P, {n}); got {np.shape(genomes)}")
         bad = ~((array >= 0) & (array <= 1))
         if bad.any():
             row, column = np.argwhere(bad)[0]
             raise GenomeError(
-                f"gene {column} of genome {row} is {array[row, column]}; every gene must lie in [0, 1]"
+                f"gene {column} of genome {row} is {array[row, column]}; genes must lie in [0, 1]"
             )
         return array
 
     def decode(self, genomes: Array) -> tuple[list[Body], GaitTimings]:
-        """Bodies and gaits of P genomes (P, n).
+        """Bodies and gaits of genomes (P, n) or (n,).
 
         Returns:
-            P bodies, and timings of the mirrored pairs, shape (P, pairs); of the springs if `full`.
+            P bodies, and timings of shape (P, pairs), or (P, springs) if the kind is `full`.
 
         Raises:
             GenomeError: see `check`.
@@ -111,7 +118,7 @@ class Encoding:
         array = self.check(genomes)
         size = len(PARAMETERS)
         count = self.physics.num_segments if self.kind == "per-segment" else 1
-        # Through the environment's action, so that an environment can repeat the gait bit for bit.
+        # Converted to an action first, so that the environment reproduces the gait bit for bit.
         action = (2.0 * array[:, size * count :] - 1.0).astype(np.float32)
         timings = GaitTimings.from_action(action, self.gait_period_s)
         segments = array[:, : size * count].reshape(len(array), count, size)
@@ -119,14 +126,14 @@ class Encoding:
         return [body if self.kind == "per-segment" else body[0] for body in bodies], timings
 
     def robot(self, genome: Array, **record: Any) -> Robot:
-        """The robot of a genome (n,) in [0, 1]; keywords are what was recorded of it, see `Robot`."""
-        (body,), timings = self.decode(genome[None])
+        """The robot of a genome (n,); keywords are its recorded results, see `Robot`."""
+        (body,), timings = self.decode(np.asarray(genome)[None])
         gait = GaitTimings(timings.period_s, timings.on_s[0], timings.off_s[0])
         return Robot(body, gait, self.physics, **record)
 
 
 def gene_values(bodies: Sequence[Body], timings: GaitTimings) -> Array:
-    """What each gene says of P bodies and their gaits, in the order of the genes, SI units, (P, n)."""
+    """The values of all genes of P bodies and their gaits in SI units, (P, n)."""
     times = np.stack([timings.on_s, timings.off_s], axis=-1).reshape(len(bodies), -1)
     segments = [body if isinstance(body, tuple) else (body,) for body in bodies]
     values = [np.concatenate([m.to_array() for m in body]) for body in segments]

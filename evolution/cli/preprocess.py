@@ -16,29 +16,29 @@ from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.physics import Physics
 from evolution import cli
 from evolution.genome import Encoding, GenomeKind
-from evolution.priors.distributions import Uniform
-from evolution.priors.preprocessor import Clipping, GenePrior, design_parameters, paper_priors
+from evolution.priors.distributions import Clipping
+from evolution.priors.preprocessor import GenePrior, design_parameters, paper_priors
 from evolution.report import figures
 
 
 @dataclass(frozen=True)
 class PreprocessArgs:
-    """Print Table I: what the preprocessor says of each gene, and draw the densities."""
+    """Print the preprocessor's distribution of each gene (Table I) and plot the densities."""
 
     json: bool = False
     """Print JSON instead of a table: gene, kind, mu, sigma, lower, upper, reason."""
     out: Path = Path("preprocess.png")
-    """File to draw the densities in: .png, .svg, .pdf."""
+    """File for the plot of the densities: .png, .svg or .pdf."""
     genome: GenomeKind = "shared"
     """full: times of every spring; per-segment: a body for every segment."""
     floor_ratio: float = 3.0
-    """Greatest over least density of a preprocessed gene; the paper's third is 3."""
+    """Highest over lowest density of a Gaussian gene; 3 in the paper ("one third")."""
     clipping: Clipping = "truncated"
-    """What becomes of a Gaussian beyond the bounds of its gene."""
+    """Treatment of Gaussians beyond the bounds: cut off, or moved to the bound."""
     mirrored: bool = False
-    """Every peak at the opposite end: the prior that misleads on purpose."""
+    """Move every peak to the opposite end, for a misleading prior."""
     gait_period_s: float = GAIT_PERIOD_S
-    """Period of the gait in s, a whole multiple of 0.1; on and off times end with it."""
+    """Period of the gait in s, a multiple of 0.1; the upper bound of on and off times."""
     num_segments: int = 4
     """Number of segments of the robot."""
 
@@ -56,7 +56,7 @@ def preprocess_command(argv: Sequence[str]) -> int:
         )
     with writing(args.out):
         figures.save(figures.densities(priors), args.out)
-    print(f"densities drawn in {args.out}", file=sys.stderr)
+    print(f"densities plotted in {args.out}", file=sys.stderr)
     return 0
 
 
@@ -66,13 +66,12 @@ def _table(priors: Sequence[GenePrior], names: Sequence[str]) -> Table:
         table.add_column(heading, no_wrap=heading == "gene")
     for prior in priors:
         gene, data, signs = prior.gene, prior.to_dict(), dict(prior.signs)
-        gaussian = not isinstance(prior.distribution, Uniform)
         table.add_row(
             gene.name,
             f"{gene.lower:g} - {gene.upper:g}",
             *({1: "+", -1: "-", 0: ""}[signs.get(name, 0)] for name in names),
-            f"{data['mu']:.4g}" if gaussian else "uniform",
-            f"{data['sigma']:.4g}" if gaussian else "",
+            "uniform" if data["mu"] is None else f"{data['mu']:.4g}",
+            "" if data["sigma"] is None else f"{data['sigma']:.4g}",
             prior.reason,
         )
     return table

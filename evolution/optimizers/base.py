@@ -1,4 +1,4 @@
-"""What optimizers have in common: ask for genomes in [0, 1], be told how fit they are."""
+"""The interface of optimizers: they propose genomes in [0, 1]^n and receive their fitness."""
 
 from __future__ import annotations
 
@@ -15,30 +15,52 @@ class OptimizerError(CaterpillarError):
 
 
 class Optimizer(Protocol):
-    """Anything that asks and is told can drive a run, if the same answers lead to the same questions.
+    """Interface of an optimizer that can drive a run.
 
-    All randomness must come from a generator that it was given, so that a run can be resumed by asking
-    once more.
+    The same fitness values must lead to the same genomes, because a run is resumed by replaying its
+    recorded fitness: take all randomness from a seeded generator.
     """
 
     def ask(self) -> Array:
-        """Genomes to evaluate, in [0, 1], shape (P, n); P may differ from one time to the next."""
+        """Genomes to evaluate next, in [0, 1], shape (P, n); P may change between calls."""
         ...
 
     def tell(self, genomes: Array, fitness: Array) -> None:
-        """Take the fitness, (P,), of the genomes last asked for; the greater the better."""
+        """Receive the fitness, (P,), of the genomes last asked for; greater is better."""
         ...
 
 
-def check_told(asked: Array | None, genomes: Array, fitness: Array) -> None:
-    """Whether `fitness` answers what was asked.
+class GenerationalOptimizer:
+    """Base class: keeps the generation that awaits its fitness; subclasses propose and learn."""
 
-    Raises:
-        OptimizerError: other genomes, fitness of another shape, negative or not finite.
-    """
-    if asked is None or not np.array_equal(genomes, asked):
-        raise OptimizerError("tell takes exactly the genomes that ask gave, in their order")
-    if fitness.shape != (len(genomes),):
-        raise OptimizerError(f"fitness must have shape ({len(genomes)},); got {fitness.shape}")
-    if not (np.isfinite(fitness).all() and (fitness >= 0).all()):
-        raise OptimizerError("fitness must be finite and not negative; a failure needs a value too")
+    def __init__(self) -> None:
+        self._asked: Array | None = None
+
+    def ask(self) -> Array:
+        """Genomes to evaluate, (P, n); the same ones until their fitness has been told."""
+        if self._asked is None:
+            self._asked = self._propose()
+        return self._asked.copy()
+
+    def tell(self, genomes: Array, fitness: Array) -> None:
+        """Receive the fitness, (P,), of the genomes last asked for; greater is better.
+
+        Raises:
+            OptimizerError: the genomes are not those asked for, or the fitness has another shape or a
+                value that is not finite.
+        """
+        if self._asked is None or not np.array_equal(genomes, self._asked):
+            raise OptimizerError("tell needs exactly the genomes that ask returned, in the same order")
+        if fitness.shape != (len(genomes),):
+            raise OptimizerError(f"fitness must have shape ({len(genomes)},); got {fitness.shape}")
+        if not np.isfinite(fitness).all():
+            raise OptimizerError("fitness must be finite; assign a finite value to failures too")
+        self._learn(genomes, fitness)
+        self._asked = None
+
+    def _propose(self) -> Array:
+        """The genomes of the next generation, (P, n)."""
+        raise NotImplementedError
+
+    def _learn(self, genomes: Array, fitness: Array) -> None:
+        """Update the state with a generation and its fitness."""

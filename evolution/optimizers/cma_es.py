@@ -1,4 +1,4 @@
-"""CMA-ES (Hansen 2016) by pycma in the box [0, 1]^n, restarted larger (Auger and Hansen 2005)."""
+"""CMA-ES (Hansen 2016) with pycma on [0, 1]^n, with growing restarts (Auger and Hansen 2005)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import cma
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from evolution.optimizers.base import OptimizerError, check_told
-from evolution.priors.distributions import Distribution, Uniform
+from evolution.optimizers.base import GenerationalOptimizer, OptimizerError
+from evolution.priors.distributions import ClippedGaussian, Distribution
 
 
 @dataclass(frozen=True)
@@ -21,9 +21,9 @@ class CmaConfig:
         OptimizerError: a value is out of range.
     """
 
-    cma_population: int | None = None  #: genomes a generation; None: pycma's own, 4 + 3 ln n
-    cma_sigma: float = 0.3  #: first step size, as a share of the range; a narrower prior's is its own
-    cma_restarts: bool = True  #: whether to start anew, with twice the population, once converged
+    cma_population: int | None = None  #: genomes per generation; None: pycma's default, 4 + 3 ln n
+    cma_sigma: float = 0.3  #: initial step size, as a share of the range; narrower priors use their own
+    cma_restarts: bool = True  #: whether to restart with twice the population after convergence
 
     def __post_init__(self) -> None:
         if self.cma_population is not None and self.cma_population < 4:
@@ -34,12 +34,12 @@ class CmaConfig:
             raise OptimizerError(f"cma_sigma = {self.cma_sigma} must lie in (0, 1]")
 
 
-class CmaEs:
-    """Ask for genomes, evaluate them, tell their fitness; a generation a time.
+class CmaEs(GenerationalOptimizer):
+    """CMA-ES, one generation at a time.
 
-    It starts at the peak of each gene's distribution with its width as step size; genes of uniform
-    distribution start in the middle. A restart begins at a draw from the distributions. Bounds are kept
-    by pycma's transformation of the genes, so that every genome lies in the box.
+    The search starts at the peak of each gene's distribution, with its width as the step size; genes
+    with a uniform distribution start at 0.5. A restart begins at a random draw from the distributions.
+    pycma transforms the genes so that every genome lies in the box.
 
     Args:
         distributions: of each gene.
@@ -50,44 +50,37 @@ class CmaEs:
     def __init__(
         self, distributions: Sequence[Distribution], config: CmaConfig, rng: np.random.Generator
     ) -> None:
+        super().__init__()
         self._distributions = list(distributions)
         self._config = config
         self._rng = rng
-        middles = [0.5 if isinstance(d, Uniform) else d.mu for d in self._distributions]
-        self._strategy = self._started(np.array(middles), config.cma_population)
-        self._asked: Array | None = None
-        self._flat = False  # whether the last generation were all as fit
+        peaks = [d.mu if isinstance(d, ClippedGaussian) else 0.5 for d in self._distributions]
+        self._strategy = self._make_strategy(np.array(peaks), config.cma_population)
+        self._is_flat = False  # whether the last generation had a single fitness value
 
     @property
     def centre(self) -> Array:
-        """The genome that the search is about, (n,)."""
+        """The mean of the search distribution, (n,)."""
         centre: Array = np.clip(np.array(self._strategy.result.xfavorite), 0.0, 1.0)
         return centre
 
-    def ask(self) -> Array:
-        """The genomes of a generation, (population, n)."""
-        if self._asked is None:
-            # A generation in which everybody fails has not converged.
-            if self._config.cma_restarts and not self._flat and self._strategy.stop():
-                start = np.array([d.sample(self._rng, 1)[0] for d in self._distributions])
-                self._strategy = self._started(start, 2 * self._strategy.popsize)
-            self._asked = np.clip(np.array(self._strategy.ask()), 0.0, 1.0)
-        return self._asked.copy()
+    def _propose(self) -> Array:
+        # A generation in which every robot fails has not converged.
+        if self._config.cma_restarts and not self._is_flat and self._strategy.stop():
+            start = np.array([d.sample(self._rng, 1)[0] for d in self._distributions])
+            self._strategy = self._make_strategy(start, 2 * self._strategy.popsize)
+        genomes: Array = np.clip(np.array(self._strategy.ask()), 0.0, 1.0)
+        return genomes
 
-    def tell(self, genomes: Array, fitness: Array) -> None:
-        """Take the fitness of the genomes last asked for.
-
-        Raises:
-            OptimizerError: other genomes, or fitness of another shape, negative or not finite.
-        """
-        check_told(self._asked, genomes, fitness)
+    def _learn(self, genomes: Array, fitness: Array) -> None:
         self._strategy.tell(list(genomes), (-fitness).tolist())  # pycma minimises
-        self._flat = bool(np.ptp(fitness) == 0)
-        self._asked = None
+        self._is_flat = bool(np.ptp(fitness) == 0)
 
-    def _started(self, start: Array, population: int | None) -> cma.CMAEvolutionStrategy:
+    def _make_strategy(self, start: Array, population: int | None) -> cma.CMAEvolutionStrategy:
         sigma = self._config.cma_sigma
-        widths = [sigma if isinstance(d, Uniform) else min(d.sigma, sigma) for d in self._distributions]
+        widths = [
+            min(d.sigma, sigma) if isinstance(d, ClippedGaussian) else sigma for d in self._distributions
+        ]
         options = {
             "bounds": [0.0, 1.0],
             "CMA_stds": [width / sigma for width in widths],
@@ -99,5 +92,5 @@ class CmaEs:
         }
         if population is not None:
             options["popsize"] = population
-        # The transformation maps the inner part of the box onto itself; its very edge has no inverse.
+        # The transformation has no inverse at the very edge of the box.
         return cma.CMAEvolutionStrategy(np.clip(start, 0.05, 0.95), sigma, options)

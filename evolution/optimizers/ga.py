@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import check_choice
-from evolution.optimizers.base import OptimizerError, check_told
+from evolution.optimizers.base import GenerationalOptimizer, OptimizerError
 from evolution.priors.distributions import Distribution
 
 Crossover = Literal["uniform", "one-point", "two-point"]
@@ -21,64 +21,69 @@ Crossover = Literal["uniform", "one-point", "two-point"]
 class GaConfig:
     """Settings of the genetic algorithm.
 
-    The paper gives the population and the hall of fame, which is neither crossed nor mutated; the other
-    defaults are our readings.
+    The paper gives the population and the hall of fame, which is neither crossed nor mutated. The other
+    defaults are our interpretation.
 
     Raises:
         OptimizerError: a value is out of range.
     """
 
-    population: int = 200  #: genomes of a generation, of random search too
-    hall_of_fame: int = 10  #: best genomes carried over unchanged and not evaluated again
-    crossover: Crossover = "uniform"  #: how the genes of two parents are mixed
-    crossover_rate: float = 0.9  #: share of children with two parents; the others copy one
-    mutation_rate: float = 0.05  #: chance of each gene to be drawn afresh; at 0.05 one of twenty is
-    elites_breed: bool = False  #: whether the hall of fame takes part in the roulette too
+    population: int = 200  #: genomes per generation, of random search too
+    hall_of_fame: int = 10  #: best genomes kept without evaluating them again; see `elites`
+    crossover: Crossover = "uniform"  #: how the genes of two parents are combined
+    crossover_rate: float = 0.9  #: fraction of children with two parents; the others copy one
+    mutation_rate: float = 0.05  #: probability that a gene is redrawn; 0.05 is one gene in twenty
+    elites_breed: bool = False  #: whether the hall of fame takes part in parent selection too
 
     def __post_init__(self) -> None:
         if self.population < 2:
             raise OptimizerError(f"population = {self.population} must be at least 2")
-        if not 0 <= self.hall_of_fame < self.population:
-            raise OptimizerError(
-                f"hall_of_fame = {self.hall_of_fame} must be from 0 to "
-                f"population - 1 = {self.population - 1}"
-            )
+        if self.hall_of_fame < 0:
+            raise OptimizerError(f"hall_of_fame = {self.hall_of_fame} must not be negative")
         for name in ("crossover_rate", "mutation_rate"):
             if not 0 <= getattr(self, name) <= 1:
                 raise OptimizerError(f"{name} = {getattr(self, name)} must lie in [0, 1]")
         check_choice("crossover", self.crossover, Crossover, OptimizerError)
 
+    @property
+    def elites(self) -> int:
+        """Effective size of the hall of fame: half of the population if it would not fit."""
+        return self.hall_of_fame if self.hall_of_fame < self.population else self.population // 2
+
 
 def roulette(fitness: Array, draws: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Indices drawn with probability directly proportional to fitness (Saunders 2009, section II).
+    """Draw indices with probability proportional to fitness (Saunders 2009, section II).
 
-    When no fitness is positive, every index is equally likely.
+    If no fitness is positive, all indices are equally likely.
 
     Args:
-        fitness: not negative and finite, (n,).
-        draws: how many.
+        fitness: finite and not negative, (n,).
+        draws: how many indices to draw.
         rng: source of randomness.
 
     Raises:
-        OptimizerError: negative, NaN or infinite fitness.
+        OptimizerError: a fitness is negative or not finite.
     """
     if not (np.isfinite(fitness).all() and (fitness >= 0).all()):
         raise OptimizerError("roulette selection needs fitness that is finite and not negative")
     peak = fitness.max(initial=0.0)
     weight = fitness / peak if peak > 0 else np.ones_like(fitness)  # no overflow, no underflow
     wheel = np.cumsum(weight)
-    drawn: NDArray[np.intp] = np.searchsorted(wheel, rng.random(draws) * wheel[-1], side="right")
-    # Rounding may point past the end; the last index with any weight is meant.
+    index: NDArray[np.intp] = np.searchsorted(wheel, rng.random(draws) * wheel[-1], side="right")
+    # Rounding may produce an index past the last one that has any weight.
     last = int(np.flatnonzero(weight)[-1])
-    return np.minimum(drawn, last, dtype=np.intp)
+    return np.minimum(index, last, dtype=np.intp)
 
 
-class GeneticAlgorithm:
-    """Ask for genomes, evaluate them, tell their fitness; a generation a time.
+class GeneticAlgorithm(GenerationalOptimizer):
+    """Roulette selection, crossover, redrawing mutation and a hall of fame.
+
+    The first generation is a whole population; later ones leave out the hall of fame, whose fitness is
+    known.
 
     Args:
         initial: distributions of the genes of the first population.
-        mutation: distributions that mutated genes are drawn from.
+        mutation: distributions from which mutated genes are redrawn.
         config: settings.
         rng: the only source of randomness.
     """
@@ -90,54 +95,40 @@ class GeneticAlgorithm:
         config: GaConfig,
         rng: np.random.Generator,
     ) -> None:
+        super().__init__()
         self._initial, self._mutation = list(initial), list(mutation)
         self._config = config
         self._rng = rng
-        self._elite_genomes = np.empty((0, len(self._initial)))
-        self._elite_fitness = np.empty(0)
-        self._asked: Array | None = None
-        self._genomes: Array | None = None  # the last full population, best first
+        self._genomes = np.empty((0, len(self._initial)))  # the last population, best first
         self._fitness = np.empty(0)
 
-    def ask(self) -> Array:
-        """Genomes to evaluate: the whole first population, later all but the hall of fame, (P, n)."""
-        if self._asked is None:
-            if self._genomes is None:
-                self._asked = self._draw(self._initial, self._config.population)
-            else:
-                self._asked = self._breed(self._config.population - self._config.hall_of_fame)
-        return self._asked.copy()
+    def _propose(self) -> Array:
+        if not len(self._genomes):
+            return self._draw(self._initial, self._config.population)
+        return self._breed(self._config.population - self._config.elites)
 
-    def tell(self, genomes: Array, fitness: Array) -> None:
-        """Take the fitness of the genomes last asked for.
-
-        Raises:
-            OptimizerError: other genomes, or fitness of another shape, negative or not finite.
-        """
-        check_told(self._asked, genomes, fitness)
-        everyone = np.concatenate([self._elite_genomes, genomes])
-        scores = np.concatenate([self._elite_fitness, fitness])
-        order = np.argsort(-scores, kind="stable")  # of equals the older stays in front
-        self._genomes, self._fitness = everyone[order], scores[order]
-        elites = self._config.hall_of_fame
-        self._elite_genomes, self._elite_fitness = self._genomes[:elites], self._fitness[:elites]
-        self._asked = None
+    def _learn(self, genomes: Array, fitness: Array) -> None:
+        elites = self._config.elites
+        population = np.concatenate([self._genomes[:elites], genomes])
+        scores = np.concatenate([self._fitness[:elites], fitness])
+        order = np.argsort(-scores, kind="stable")  # among equals, the older genome stays in front
+        self._genomes, self._fitness = population[order], scores[order]
 
     def _draw(self, distributions: Sequence[Distribution], count: int) -> Array:
         return np.stack([d.sample(self._rng, count) for d in distributions], axis=1)
 
     def _breed(self, count: int) -> Array:
-        """Children of the rest, which the hall of fame joins only where it breeds, (count, n)."""
-        assert self._genomes is not None
-        first = 0 if self._config.elites_breed else self._config.hall_of_fame
+        """Children (count, n) of the population; of its elites only if they breed."""
+        first = 0 if self._config.elites_breed else self._config.elites
         pool, fitness = self._genomes[first:], self._fitness[first:]
-        mothers = pool[roulette(fitness, count, self._rng)]
-        fathers = pool[roulette(fitness, count, self._rng)]
-        children = np.where(self._from_father(count), fathers, mothers)
+        weight = fitness - min(fitness.min(), 0.0)  # an objective may be negative
+        mothers = pool[roulette(weight, count, self._rng)]
+        fathers = pool[roulette(weight, count, self._rng)]
+        children = np.where(self._crossover_mask(count), fathers, mothers)
         mutated = self._rng.random(children.shape) < self._config.mutation_rate
         return np.where(mutated, self._draw(self._mutation, count), children)
 
-    def _from_father(self, count: int) -> NDArray[np.bool_]:
+    def _crossover_mask(self, count: int) -> NDArray[np.bool_]:
         """Which genes come from the second parent, (count, n)."""
         num_genes = len(self._initial)
         crossed = self._rng.random(count) < self._config.crossover_rate

@@ -1,4 +1,4 @@
-"""Random search: genomes drawn independently, or spread evenly by a Sobol' sequence."""
+"""Random search: independent draws, or a low-discrepancy Sobol' sequence."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from scipy.stats import qmc
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import check_choice
-from evolution.optimizers.base import OptimizerError, check_told
+from evolution.optimizers.base import GenerationalOptimizer, OptimizerError
 from evolution.priors.distributions import Distribution
 
 Sampling = Literal["independent", "sobol"]
 
 
-class RandomSearch:
-    """Ask for genomes; what is told makes no difference.
+class RandomSearch(GenerationalOptimizer):
+    """Draws genomes from the distributions of the genes; fitness has no influence.
 
     Args:
         distributions: of each gene.
-        population: genomes asked for at a time; makes no difference to which are drawn.
+        population: genomes per generation; it does not change which genomes are drawn.
         sampling: "independent", or "sobol" for a scrambled sequence (Owen 1998).
         rng: the only source of randomness.
 
@@ -36,6 +36,7 @@ class RandomSearch:
         sampling: Sampling,
         rng: np.random.Generator,
     ) -> None:
+        super().__init__()
         if population < 1:
             raise OptimizerError(f"population = {population} must be at least 1")
         check_choice("sampling", sampling, Sampling, OptimizerError)
@@ -43,29 +44,13 @@ class RandomSearch:
         self._population = population
         self._rng = rng
         self._sobol = qmc.Sobol(len(self._distributions), rng=rng) if sampling == "sobol" else None
-        self._asked: Array | None = None
 
-    def ask(self) -> Array:
-        """The next genomes, (population, n)."""
-        if self._asked is None:
-            shape = (self._population, len(self._distributions))
-            shares = self._rng.random(shape) if self._sobol is None else self._points()
-            columns = [d.quantile(shares[:, i]) for i, d in enumerate(self._distributions)]
-            self._asked = np.stack(columns, axis=1)
-        return self._asked.copy()
-
-    def _points(self) -> Array:
-        assert self._sobol is not None
-        # One by one: SciPy warns of numbers of points that are no power of two, and is right
-        # for integration, which this is not.
-        points: Array = np.concatenate([self._sobol.random(1) for _ in range(self._population)])
-        return points
-
-    def tell(self, genomes: Array, fitness: Array) -> None:
-        """Take the fitness of the genomes last asked for.
-
-        Raises:
-            OptimizerError: other genomes, or fitness of another shape.
-        """
-        check_told(self._asked, genomes, fitness)
-        self._asked = None
+    def _propose(self) -> Array:
+        if self._sobol is None:
+            shares = self._rng.random((self._population, len(self._distributions)))
+        else:
+            # One at a time: SciPy warns when the number of points is not a power of two, which
+            # matters for integration only.
+            shares = np.concatenate([self._sobol.random(1) for _ in range(self._population)])
+        columns = [d.quantile(shares[:, i]) for i, d in enumerate(self._distributions)]
+        return np.stack(columns, axis=1)

@@ -1,21 +1,28 @@
-"""Distributions of one gene over [0, 1], from which it is initialised and mutated."""
+"""Distributions of one gene over [0, 1], for initialisation and mutation."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from caterpillar_env.arrays import Array
 
+Clipping = Literal["truncated", "clamped"]
 
-class _Invertible:
-    """Draws by inversion of the distribution function: one uniform a draw."""
+
+class Distribution:
+    """A distribution over [0, 1]; one draw uses one uniform random number."""
 
     def quantile(self, share: Array) -> Array:
-        """Where the distribution function reaches `share`, in [0, 1]."""
+        """The inverse of the cumulative distribution function, for `share` in [0, 1]."""
+        raise NotImplementedError
+
+    def density(self, x: Array) -> Array:
+        """The probability density at x; 0 outside of [0, 1]."""
         raise NotImplementedError
 
     def sample(self, rng: np.random.Generator, size: int) -> Array:
@@ -24,75 +31,57 @@ class _Invertible:
 
 
 @dataclass(frozen=True)
-class Uniform(_Invertible):
-    """Every value equally likely."""
+class Uniform(Distribution):
+    """All values are equally likely."""
 
     def quantile(self, share: Array) -> Array:
-        """Where the distribution function reaches `share`, in [0, 1]."""
+        """See `Distribution.quantile`."""
         return share
 
     def density(self, x: Array) -> Array:
-        """Probability density at x."""
+        """See `Distribution.density`."""
         return np.where((x >= 0) & (x <= 1), 1.0, 0.0)
 
 
 @dataclass(frozen=True)
-class TruncatedGaussian(_Invertible):
-    """The paper's clipped Gaussian: cut off at 0 and 1 and renormalised.
+class ClippedGaussian(Distribution):
+    """A Gaussian that is clipped to [0, 1] (Saunders 2009, section II).
 
     Args:
         mu: peak, in [0, 1].
-        sigma: width of the Gaussian before it is cut.
+        sigma: width before clipping.
+        clipping: "truncated" cuts the tails off and renormalises the rest; "clamped" moves values
+            beyond 0 and 1 to the bound.
     """
 
     mu: float
     sigma: float
+    clipping: Clipping = "truncated"
 
     @classmethod
-    def with_floor(cls, mu: float, ratio: float = 3.0) -> TruncatedGaussian:
-        """Peaked at `mu`, its least density over [0, 1] the `ratio`-th part of its greatest.
+    def with_floor(cls, mu: float, ratio: float = 3.0) -> ClippedGaussian:
+        """Peaked at `mu` and truncated, with a lowest density of 1 / `ratio` times the highest.
 
-        Saunders 2009, section II: "no smaller than one third"; hence sigma = D / sqrt(2 ln 3), D the
-        distance from mu to the farther bound.
+        Saunders 2009, section II: "no smaller than one third". So sigma = D / sqrt(2 ln 3), where D is
+        the distance from mu to the farther bound.
         """
         return cls(mu, max(mu, 1.0 - mu) / math.sqrt(2.0 * math.log(ratio)))
 
     def quantile(self, share: Array) -> Array:
-        """Where the distribution function reaches `share`, in [0, 1]."""
-        low, high = ndtr(-self.mu / self.sigma), ndtr((1.0 - self.mu) / self.sigma)
+        """See `Distribution.quantile`."""
+        low, high = self._tails()
         x: Array = self.mu + self.sigma * ndtri(low + (high - low) * share)
         return np.clip(x, 0.0, 1.0)
 
     def density(self, x: Array) -> Array:
-        """Probability density at x."""
-        mass = ndtr((1.0 - self.mu) / self.sigma) - ndtr(-self.mu / self.sigma)
+        """See `Distribution.density`; without the probability on the bounds if clamped."""
+        low, high = self._tails()
         bell = np.exp(-0.5 * ((x - self.mu) / self.sigma) ** 2)
         inside = (x >= 0) & (x <= 1)
-        return np.where(inside, bell / (mass * self.sigma * math.sqrt(2 * math.pi)), 0.0)
+        return np.where(inside, bell / ((high - low) * self.sigma * math.sqrt(2 * math.pi)), 0.0)
 
-
-@dataclass(frozen=True)
-class ClampedGaussian(_Invertible):
-    """The other reading of the paper's "clipped": values beyond 0 and 1 are put on the bound.
-
-    Args:
-        mu: peak, in [0, 1].
-        sigma: width of the Gaussian.
-    """
-
-    mu: float
-    sigma: float
-
-    def quantile(self, share: Array) -> Array:
-        """Where the distribution function reaches `share`, in [0, 1]."""
-        x: Array = self.mu + self.sigma * ndtri(share)
-        return np.clip(x, 0.0, 1.0)
-
-    def density(self, x: Array) -> Array:
-        """Probability density between the bounds, which carry the rest of the probability."""
-        bell = np.exp(-0.5 * ((x - self.mu) / self.sigma) ** 2)
-        inside = (x > 0) & (x < 1)
-        return np.where(inside, bell / (self.sigma * math.sqrt(2 * math.pi)), 0.0)
-
-
-Distribution = Uniform | TruncatedGaussian | ClampedGaussian
+    def _tails(self) -> tuple[float, float]:
+        """The quantiles of the unclipped Gaussian between which draws are made."""
+        if self.clipping == "clamped":
+            return 0.0, 1.0
+        return ndtr(-self.mu / self.sigma), ndtr((1.0 - self.mu) / self.sigma)

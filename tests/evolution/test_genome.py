@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from caterpillar_env.errors import TimingError
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import LOWER, NAMES, UPPER, Morphology
 from caterpillar_env.physics import Physics
@@ -104,6 +105,18 @@ def test_genomes_decode_alike_alone_and_together(genomes):
         np.testing.assert_array_equal(gait.off_s[0], timings.off_s[i])
 
 
+def test_single_genome_is_a_population_of_one():
+    encoding = Encoding(Physics(), PERIOD_S)
+    genome = np.random.default_rng(0).random(20)
+    np.testing.assert_array_equal(encoding.check(genome), genome[None])
+    bodies, timings = encoding.decode(genome)
+    robot = encoding.robot(genome, fitness_m=0.1)
+    assert bodies == [robot.morphology]
+    np.testing.assert_array_equal(timings.on_s[0], robot.timings.on_s)
+    np.testing.assert_array_equal(timings.off_s[0], robot.timings.off_s)
+    assert (robot.physics, robot.fitness_m) == (encoding.physics, 0.1)
+
+
 def test_no_genomes_decode_to_no_robots():
     bodies, timings = Encoding(Physics(), PERIOD_S).decode(np.empty((0, 20)))
     assert bodies == []
@@ -122,9 +135,9 @@ def test_nominal_body_is_reached_from_its_unit_values():
     np.testing.assert_allclose(bodies[0].to_array(), Morphology().to_array(), rtol=1e-12)
 
 
-@pytest.mark.parametrize("shape", [(20,), (2, 19), (2, 21), (1, 2, 20), ()])
+@pytest.mark.parametrize("shape", [(19,), (2, 19), (2, 21), (1, 2, 20), ()])
 def test_wrong_shape_is_refused_and_both_shapes_named(shape):
-    with pytest.raises(GenomeError, match=r"shape \(P, 20\); got \("):
+    with pytest.raises(GenomeError, match=r"shape \(20,\) or \(P, 20\); got \("):
         Encoding(Physics(), PERIOD_S).decode(np.zeros(shape))
 
 
@@ -134,6 +147,13 @@ def test_value_outside_the_unit_interval_is_refused_and_located(value):
     genomes[2, 11] = value
     with pytest.raises(GenomeError, match="gene 11 of genome 2"):
         Encoding().check(genomes)
+
+
+def test_unusable_encoding_is_refused():
+    with pytest.raises(TimingError, match=r"gait_period_s of 0\.25 s must be a whole multiple"):
+        Encoding(Physics(), 0.25)
+    with pytest.raises(GenomeError, match="must be one of shared, full, per-segment"):
+        Encoding(kind="half")
 
 
 # Other kinds of genome
@@ -170,5 +190,5 @@ def test_per_segment_genome_has_a_body_for_every_segment(num_segments, expected)
 
 @pytest.mark.parametrize(("kind", "size"), [("full", 20), ("per-segment", 32), ("shared", 44)])
 def test_genome_of_another_kind_is_refused(kind, size):
-    with pytest.raises(GenomeError, match=r"genomes must have shape \(P, "):
+    with pytest.raises(GenomeError, match=r"genomes must have shape"):
         Encoding(Physics(), PERIOD_S, kind).decode(np.zeros((1, size)))

@@ -3,9 +3,9 @@ import pytest
 
 from evolution.optimizers.base import OptimizerError
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
-from evolution.priors.distributions import TruncatedGaussian, Uniform
+from evolution.priors.distributions import ClippedGaussian, Uniform
 
-GENES = [Uniform(), TruncatedGaussian(0.8, 0.1), TruncatedGaussian(0.0, 0.67)]
+GENES = [Uniform(), ClippedGaussian(0.8, 0.1), ClippedGaussian(0.0, 0.67)]
 
 
 def started(seed=0, genes=GENES, **config):

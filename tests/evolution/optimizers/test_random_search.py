@@ -4,9 +4,9 @@ from scipy import stats
 
 from evolution.optimizers.base import OptimizerError
 from evolution.optimizers.random_search import RandomSearch
-from evolution.priors.distributions import TruncatedGaussian, Uniform
+from evolution.priors.distributions import ClippedGaussian, Uniform
 
-GENES = [Uniform(), TruncatedGaussian.with_floor(1.0)]
+GENES = [Uniform(), ClippedGaussian.with_floor(1.0)]
 
 
 def drawn(sampling, sizes, seed=0, genes=GENES):

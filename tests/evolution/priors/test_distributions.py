@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.integrate import quad
 
-from evolution.priors.distributions import TruncatedGaussian, Uniform
+from evolution.priors.distributions import ClippedGaussian, Uniform
 
 PEAKS = [0.0, 1 / 9, 0.5, 7 / 9, 1.0]
-SHAPES = [TruncatedGaussian.with_floor(mu) for mu in PEAKS] + [
-    TruncatedGaussian(0.3, 0.05),
-    TruncatedGaussian(1.0, 5.0),
+SHAPES = [ClippedGaussian.with_floor(mu) for mu in PEAKS] + [
+    ClippedGaussian(0.3, 0.05),
+    ClippedGaussian(1.0, 5.0),
 ]
 
 
@@ -26,13 +26,13 @@ def reference(gaussian):
 )
 def test_sigma_is_the_farther_bounds_distance_over_root_of_two_ln_three(mu, distance):
     # 1 / sqrt(2 ln 3) = 1 / 1.4823038 = 0.6746255
-    assert TruncatedGaussian.with_floor(mu).sigma == pytest.approx(0.6746255 * distance, rel=1e-6)
+    assert ClippedGaussian.with_floor(mu).sigma == pytest.approx(0.6746255 * distance, rel=1e-6)
 
 
 @pytest.mark.parametrize("mu", PEAKS)
 @pytest.mark.parametrize("ratio", [3.0, 10.0, 100.0])
 def test_least_density_is_exactly_the_asked_share_of_the_greatest(mu, ratio):
-    gaussian = TruncatedGaussian.with_floor(mu, ratio)
+    gaussian = ClippedGaussian.with_floor(mu, ratio)
     density = gaussian.density(np.append(np.linspace(0, 1, 10_001), mu))
     assert density.min() / density.max() == pytest.approx(1 / ratio, rel=1e-12)
     assert density[-1] == density.max()
@@ -69,7 +69,7 @@ def test_uniform_samples_follow_the_uniform_distribution():
 
 def test_no_mass_piles_up_on_the_bounds():
     # Clamping instead of cutting off would put half of the draws on the bound itself.
-    drawn = TruncatedGaussian.with_floor(1.0).sample(np.random.default_rng(0), 10_000)
+    drawn = ClippedGaussian.with_floor(1.0).sample(np.random.default_rng(0), 10_000)
     assert not np.any((drawn == 0.0) | (drawn == 1.0))
 
 
@@ -80,7 +80,7 @@ def test_no_mass_piles_up_on_the_bounds():
     seed=st.integers(0, 2**32 - 1),
 )
 def test_samples_lie_in_the_unit_interval(mu, sigma, seed):
-    drawn = TruncatedGaussian(mu, sigma).sample(np.random.default_rng(seed), 50)
+    drawn = ClippedGaussian(mu, sigma).sample(np.random.default_rng(seed), 50)
     assert drawn.shape == (50,)
     assert np.all((drawn >= 0) & (drawn <= 1))
 
@@ -110,5 +110,5 @@ def test_a_draw_is_the_quantile_of_its_uniform_number(gaussian):
 
 
 def test_wide_gaussian_nears_the_uniform():
-    density = TruncatedGaussian(0.2, 1e3).density(np.linspace(0, 1, 11))
+    density = ClippedGaussian(0.2, 1e3).density(np.linspace(0, 1, 11))
     np.testing.assert_allclose(density, 1.0, rtol=1e-6)

@@ -1,5 +1,7 @@
 """The preprocessor: statics, grid search, and the table of priors that comes out."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import PARAMETERS
 from caterpillar_env.physics import Physics
 from evolution.genome import Encoding, Gene
-from evolution.priors.distributions import TruncatedGaussian, Uniform
+from evolution.priors.distributions import ClippedGaussian, Uniform
 from evolution.priors.preprocessor import (
     GRAVITY_M_S2,
     PITCH_ANGLES,
@@ -34,6 +36,14 @@ def array(*values):
     return tuple(np.array(v) for v in values)
 
 
+def lift(stiffness_n_m=35.0, rest_length_m=0.016, joint_limit_rad=0.0):
+    """The lifting moment as a function of its genes; of a level segment by default."""
+    return partial(
+        lifting_moment, stiffness_n_m=stiffness_n_m, rest_length_m=rest_length_m,
+        radius_m=0.012, joint_limit_rad=joint_limit_rad,
+    )  # fmt: skip
+
+
 # Formulas
 
 
@@ -50,20 +60,19 @@ def test_roll_stability_balances_the_moments_about_a_foot():
 
 def test_yaw_stability_of_a_hand_computed_segment():
     # 0.8 * 0.008 * 9.81 * 16 / (2 * 6 + 16) N = 0.062784 * 4 / 7 N
-    value = yaw_stability(0.8)(*array(0.008, 0.016, 0.006))
+    value = yaw_stability(*array(0.008, 0.016, 0.006), friction=0.8)
     assert value == pytest.approx(0.062784 * 4 / 7, rel=1e-12)
 
 
 def test_level_lifting_moment_of_a_hand_computed_segment():
     # k (L + 2x - Delta)(y + 2R) - m g L / 2 = 35 * 0.020 * 0.0305 - 0.008 * 9.81 * 0.015 N m
-    moment = lifting_moment(35.0, 0.016, 0.012, 0.0)
-    value = moment(*array(0.003, 0.0065, 0.008, 0.030))
+    value = lift()(*array(0.003, 0.0065, 0.008, 0.030))
     assert value == pytest.approx(0.02135 - 0.0011772, rel=1e-12)
 
 
 def test_slack_spring_lifts_nothing():
-    moment = lifting_moment(35.0, 0.050, 0.012, 0.0)  # rest length beyond L + 2x
-    assert moment(*array(0.0, 0.0065, 0.008, 0.030)) == pytest.approx(-0.0011772, rel=1e-12)
+    moment = lift(rest_length_m=0.050)(*array(0.0, 0.0065, 0.008, 0.030))  # longer than L + 2x
+    assert moment == pytest.approx(-0.0011772, rel=1e-12)
 
 
 def test_lifting_moment_is_the_slope_of_the_potential_energy():
@@ -80,16 +89,15 @@ def test_lifting_moment_is_the_slope_of_the_potential_energy():
 
     angles, step = np.linspace(0, limit, PITCH_ANGLES), 1e-6
     slopes = [(energy(t + step) - energy(t - step)) / (2 * step) for t in angles]
-    value = lifting_moment(k, rest, radius, limit)(*array(x, y, m, length))
+    value = lift(k, rest, limit)(*array(x, y, m, length))
     assert value == pytest.approx(-np.mean(slopes), rel=1e-7)
 
 
-LIFT = lifting_moment(35.0, 0.016, 0.012, 0.0)
 SIGNS = [
     (design_parameters(Physics())[0], ["segment_mass_kg", "leg_separation_m"], ["segment_radius_m"]),
     (design_parameters(Physics())[1], ["segment_mass_kg", "leg_separation_m"], ["attachment_z_m"]),
     (
-        design_parameters(Physics())[2]._replace(name="level lift", formula=LIFT),
+        design_parameters(Physics())[2]._replace(name="level lift", formula=lift()),
         ["attachment_x_m", "attachment_y_m", "segment_length_m"],
         ["segment_mass_kg"],
     ),
@@ -116,10 +124,10 @@ def test_each_gene_pushes_its_parameter_the_way_the_paper_says(parameter, rising
 
 def test_lift_over_all_pitch_angles_keeps_the_signs_nearly_everywhere():
     # A higher anchor lets a pitched spring go slack sooner: at a few bodies y then lowers the mean.
-    lift = design_parameters(Physics())[2]
+    moment = design_parameters(Physics())[2]
     for gene in ("attachment_x_m", "attachment_y_m", "segment_length_m"):
-        assert np.mean(changes(lift, gene) > 0) > 0.95, gene
-    assert np.mean(changes(lift, "segment_mass_kg") < 0) > 0.95
+        assert np.mean(changes(moment, gene) > 0) > 0.95, gene
+    assert np.mean(changes(moment, "segment_mass_kg") < 0) > 0.95
 
 
 # Table I
@@ -137,7 +145,7 @@ def test_lift_over_all_pitch_angles_keeps_the_signs_nearly_everywhere():
     ],
 )
 def test_paper_genes_peak_at_their_bounds(gene, peak):
-    assert table_one()[gene].distribution == TruncatedGaussian.with_floor(peak)
+    assert table_one()[gene].distribution == ClippedGaussian.with_floor(peak)
 
 
 def test_mass_is_uniform_because_lift_contradicts_stability():
@@ -193,8 +201,8 @@ def test_single_springs_are_as_free_as_pairs():
 
 def test_without_spring_force_the_lift_wants_short_and_light_segments():
     # Only the weight's moment m g L / 2 is left, which a short segment keeps small.
-    lift = design_parameters(Physics())[2]
-    best = best_node(lift._replace(formula=lifting_moment(1e-9, 0.016, 0.012, 0.0)), BOUNDS)
+    moment = design_parameters(Physics())[2]
+    best = best_node(moment._replace(formula=lift(stiffness_n_m=1e-9)), BOUNDS)
     assert best["segment_length_m"] == 0.0
     assert best["segment_mass_kg"] == 0.0
 
@@ -255,8 +263,8 @@ def test_optimum_off_the_axes_is_found_by_searching_all_nodes():
 
 def test_parameters_that_agree_share_one_gaussian():
     rows = preprocess([k("K1", ("a",), lambda a: a), k("K2", ("a", "b"), lambda a, b: a - b)], [A, B])
-    assert rows[0].distribution == TruncatedGaussian.with_floor(1.0)
-    assert rows[1].distribution == TruncatedGaussian.with_floor(0.0)
+    assert rows[0].distribution == ClippedGaussian.with_floor(1.0)
+    assert rows[1].distribution == ClippedGaussian.with_floor(0.0)
     assert rows[0].signs == (("K1", 1), ("K2", 1))
     assert rows[1].signs == (("K2", -1),)
 
@@ -265,7 +273,7 @@ def test_parameters_that_disagree_leave_the_gene_uniform():
     rows = preprocess([k("K1", ("a",), lambda a: a), k("K2", ("a", "b"), lambda a, b: b - a)], [A, B])
     assert rows[0].distribution == Uniform()
     assert rows[0].reason.startswith("contradiction")
-    assert rows[1].distribution == TruncatedGaussian.with_floor(1.0)
+    assert rows[1].distribution == ClippedGaussian.with_floor(1.0)
 
 
 def test_gene_in_no_parameter_stays_uniform():

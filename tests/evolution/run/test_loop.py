@@ -17,7 +17,7 @@ from evolution.config import ConfigError, RunConfig
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig
 from evolution.optimizers.random_search import RandomSearch
-from evolution.priors.distributions import ClampedGaussian, TruncatedGaussian, Uniform
+from evolution.priors.distributions import ClippedGaussian, Uniform
 from evolution.run.evaluators import EvaluationError, LocalEvaluator
 from evolution.run.history import RunError, load
 from evolution.run.journal import Journal, fingerprint
@@ -296,7 +296,7 @@ def test_default_run_is_the_papers():
 def test_prior_decides_the_distributions():
     assert set(RunConfig(prior="uniform").distributions()) == {Uniform()}
     prepared = RunConfig().distributions()
-    assert sum(isinstance(d, TruncatedGaussian) for d in prepared) == 6
+    assert sum(isinstance(d, ClippedGaussian) for d in prepared) == 6
     assert len(prepared) == 20
 
 
@@ -305,10 +305,10 @@ def kinds(config, use="init"):
 
 
 def test_prior_may_serve_the_first_draw_or_mutation_alone():
-    assert kinds(RunConfig(prior="init-only")) == {Uniform, TruncatedGaussian}
+    assert kinds(RunConfig(prior="init-only")) == {Uniform, ClippedGaussian}
     assert kinds(RunConfig(prior="init-only"), "mutation") == {Uniform}
     assert kinds(RunConfig(prior="mutation-only")) == {Uniform}
-    assert kinds(RunConfig(prior="mutation-only"), "mutation") == {Uniform, TruncatedGaussian}
+    assert kinds(RunConfig(prior="mutation-only"), "mutation") == {Uniform, ClippedGaussian}
 
 
 @pytest.mark.parametrize(("prior", "informed"), [("init-only", 0), ("mutation-only", 1)])
@@ -336,7 +336,7 @@ def test_clamped_prior_keeps_peaks_and_widths():
     clamped = RunConfig(clipping="clamped").distributions()
     for one, other in zip(RunConfig().distributions(), clamped, strict=True):
         if one != Uniform():
-            assert other == ClampedGaussian(one.mu, one.sigma)
+            assert other == ClippedGaussian(one.mu, one.sigma, "clamped")
 
 
 def test_optimizer_is_the_one_that_was_named():
