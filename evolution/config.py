@@ -1,4 +1,4 @@
-"""What a run is asked to compute: every setting, and the optimizer and the distributions that follow."""
+"""The configuration of a run, and the optimizer and the distributions that it describes."""
 
 from __future__ import annotations
 
@@ -16,50 +16,50 @@ from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
 from evolution.optimizers.random_search import RandomSearch, Sampling
 from evolution.priors.distributions import Clipping, Distribution, Uniform
-from evolution.priors.preprocessor import paper_priors
+from evolution.priors.preprocessor import check_floor_ratio, paper_priors
 from evolution.run.objective import ObjectiveName
 
 OptimizerName = Literal["ga", "cma-es", "random"]
 Prior = Literal["preprocessed", "uniform", "init-only", "mutation-only", "mirrored"]
 
-#: What optimizers and priors are, in words.
+#: Descriptions of the optimizers and the priors.
 OPTIMIZERS: dict[OptimizerName, str] = {
     "ga": "the genetic algorithm", "cma-es": "CMA-ES", "random": "random search",
 }  # fmt: skip
 PRIORS: dict[Prior, str] = {
     "preprocessed": "the preprocessor's distributions",
     "uniform": "uniform distributions",
-    "init-only": "the preprocessor's distributions at first, uniform ones in mutation",
-    "mutation-only": "uniform distributions at first, the preprocessor's in mutation",
-    "mirrored": "the preprocessor's distributions with every peak at the wrong end",
+    "init-only": "the preprocessor's distributions for initialisation, uniform ones for mutation",
+    "mutation-only": "uniform distributions for initialisation, the preprocessor's for mutation",
+    "mirrored": "the preprocessor's distributions mirrored, so that every peak is at the wrong end",
 }
 
 
 class ConfigError(CaterpillarError):
-    """A run's configuration has a field that is unknown or out of range."""
+    """A field of a run's configuration is unknown or out of range."""
 
 
 @dataclass(frozen=True)
 class RunConfig:
-    """Everything that decides what a run computes; threads and folders do not.
+    """All settings that affect the result of a run.
 
     Raises:
         ConfigError: a value is out of range.
     """
 
-    seed: int = 0  #: of all that the optimizer draws; the springs have --mismatch-seed
-    generations: int = 50  #: how often the optimizer asks for genomes
-    budget_s: float | None = None  #: simulated seconds; once spent, no generation begins
-    target_m: float | None = None  #: m; once a healthy robot gets that far, no generation begins
+    seed: int = 0  #: of the optimizer; the springs have --mismatch-seed
+    generations: int = 50  #: number of generations
+    budget_s: float | None = None  #: simulated seconds after which no generation starts
+    target_m: float | None = None  #: distance in m; stop once a robot reaches it without failing
     optimizer: OptimizerName = "ga"  #: ga: the paper's genetic algorithm; random: random search
-    genome: GenomeKind = "shared"  #: full: times of every spring; per-segment: a body for every segment
-    prior: Prior = "preprocessed"  #: what genes are drawn from; init- and mutation-only are the GA's
-    floor_ratio: float = 3.0  #: greatest over least density of a preprocessed gene
-    clipping: Clipping = "truncated"  #: what becomes of a Gaussian beyond the bounds of its gene
+    genome: GenomeKind = "shared"  #: full: timings per spring; per-segment: a body per segment
+    prior: Prior = "preprocessed"  #: distributions of genes; init-only and mutation-only need the GA
+    floor_ratio: float = 3.0  #: ratio of the greatest to the least density of a preprocessed gene
+    clipping: Clipping = "truncated"  #: how a Gaussian is limited to the bounds of its gene
     objective: ObjectiveName = "distance"  #: what is maximised: m, or m per J of electrical energy
-    failed_fitness: float = 0.0  #: of a robot that fails, in the unit of the objective
-    gait_period_s: float = GAIT_PERIOD_S  #: a whole multiple of 0.1; on and off times end with it
-    sampling: Sampling = "independent"  #: how random search draws: one by one, or evenly spread
+    failed_fitness: float = 0.0  #: fitness of a robot that fails, in the unit of the objective
+    gait_period_s: float = GAIT_PERIOD_S  #: a multiple of 0.1 s
+    sampling: Sampling = "independent"  #: of random search: independent or evenly spread (sobol)
     ga: GaConfig = field(default_factory=GaConfig)
     cma: CmaConfig = field(default_factory=CmaConfig)
     physics: Physics = field(default_factory=Physics)
@@ -73,24 +73,25 @@ class RunConfig:
             value = getattr(self, name)
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if value is not None and not (number and 0 < value < np.inf):
-                raise ConfigError(f"{name} = {value!r} must be {what}; leave it out to run without it")
+                raise ConfigError(f"{name} = {value!r} must be {what}, or None for no limit")
         for name, kind in _CHOICES.items():
             check_choice(name, getattr(self, name), kind, ConfigError)
         if self.optimizer != "ga" and self.prior in ("init-only", "mutation-only"):
             raise ConfigError(
-                f"prior = {self.prior!r} is for the genetic algorithm alone; with "
+                f"prior = {self.prior!r} needs the genetic algorithm; with "
                 f"{self.optimizer} choose preprocessed, uniform or mirrored"
             )
         if not np.isfinite(self.failed_fitness):
             raise ConfigError(f"failed_fitness = {self.failed_fitness} must be a finite number")
-        self.distributions()
+        check_floor_ratio(self.floor_ratio)
+        Encoding(self.physics, self.gait_period_s, self.genome)  # checks the gait period
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> RunConfig:
-        """The configuration in plain JSON, as `to_dict` gives it.
+        """Build a configuration from plain data, as returned by `to_dict`.
 
         Raises:
-            ConfigError: a field is unknown or unusable.
+            ConfigError: a field is unknown or invalid.
         """
         kinds = {"ga": GaConfig, "cma": CmaConfig, "physics": Physics}
         made = {
@@ -100,11 +101,11 @@ class RunConfig:
         return from_mapping(cls, made, "a run's configuration", ConfigError)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain JSON."""
+        """The configuration as plain data for JSON."""
         return asdict(self)
 
     def distributions(self, use: Literal["init", "mutation"] = "init") -> list[Distribution]:
-        """What each gene is drawn from, at first or by mutation."""
+        """The distribution of each gene, for initialisation or for mutation."""
         rows = paper_priors(
             self.encoding, self.floor_ratio, self.clipping, mirrored=self.prior == "mirrored"
         )
@@ -113,11 +114,11 @@ class RunConfig:
 
     @property
     def encoding(self) -> Encoding:
-        """What a genome stands for."""
+        """The meaning of the genomes."""
         return Encoding(self.physics, self.gait_period_s, self.genome)
 
     def make_optimizer(self) -> Optimizer:
-        """The optimizer at its beginning."""
+        """The optimizer in its initial state."""
         rng = np.random.default_rng(self.seed)
         first = self.distributions("init")
         if self.optimizer == "ga":
@@ -127,7 +128,7 @@ class RunConfig:
         return RandomSearch(first, self.ga.population, self.sampling, rng)
 
     def evaluations(self) -> int:
-        """How many genomes the whole run evaluates; without restarts, in the case of CMA-ES."""
+        """Number of genomes that the run evaluates; CMA-ES with restarts evaluates more."""
         ga = self.ga
         if self.optimizer == "ga":
             return ga.population + (self.generations - 1) * (ga.population - ga.elites)
@@ -137,12 +138,12 @@ class RunConfig:
         return (self.cma.cma_population or default) * self.generations
 
     def ending(self, generations: int, simulated_s: float, farthest_m: float) -> str | None:
-        """Why a run that is so far is over, in words; None if another generation follows.
+        """Why the run is over, in words; None if another generation follows.
 
         Args:
-            generations: how many are through.
-            simulated_s: simulated time of all evaluations.
-            farthest_m: greatest distance of a robot that did not fail, whatever the objective.
+            generations: number of completed generations.
+            simulated_s: simulated time of all evaluations, s.
+            farthest_m: greatest distance of a robot that did not fail, m.
         """
         missed = ""
         if self.target_m is not None:
@@ -154,17 +155,17 @@ class RunConfig:
         if self.budget_s is not None and simulated_s >= self.budget_s:
             return f"the budget of {self.budget_s:,.0f} simulated seconds is spent{missed}"
         if generations >= self.generations:
-            return f"the last generation is through{missed}"
+            return f"all {generations} generations are complete{missed}"
         return None
 
     def share_done(self, evaluations: int, simulated_s: float) -> float:
-        """How much of the run is behind it, in [0, 1]; of a budget, what is spent."""
+        """Share of the run that is complete, in [0, 1]: of its budget, or else of its genomes."""
         if self.budget_s is not None:
             return min(simulated_s / self.budget_s, 1.0)
         return min(evaluations / self.evaluations(), 1.0)
 
 
-#: What ends a run before its last generation, where it is given.
+#: Optional limits that end a run early.
 _LIMITS = {
     "budget_s": "a positive number of simulated seconds",
     "target_m": "a positive distance in m",
