@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 from sb3_contrib import ARS, TQC
 from stable_baselines3 import A2C, PPO, SAC
@@ -19,12 +17,12 @@ from stable_baselines3.common.vec_env import VecNormalize
 from baselines.config import TrainConfig, TrainingError, hyperparameters
 from baselines.records import Record, best_of, evaluations
 from baselines.vec_env import CaterpillarVecEnv
-from caterpillar_env.episodes import Episodes
+from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.files import write_json
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes, digest_of
-from caterpillar_env.simulation import Trace
+from caterpillar_env.task import OnInterval
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "ppo": PPO, "a2c": A2C, "sac": SAC, "tqc": TQC, "ars": ARS,
@@ -37,9 +35,9 @@ def settings(config: TrainConfig, **other: Any) -> dict[str, Any]:
     return {"physics": config.physics, **hyperparameters(config).env_kwargs, **other}
 
 
-def judge(config: TrainConfig, **other: Any) -> Episodes:
-    """One robot for policies to be judged by, which meets with nothing at random."""
-    return Episodes([Morphology()], threads=1, action_mode=config.mode, **settings(config, **other))
+def judge(config: TrainConfig, **other: Any) -> CaterpillarEnv:
+    """Make the environment in which policies are evaluated, without randomization."""
+    return CaterpillarEnv(action_mode=config.mode, **settings(config, **other))
 
 
 class AtRandom:
@@ -63,13 +61,12 @@ class Policy:
 
     def crawl(
         self,
-        robot: Episodes,
+        robot: CaterpillarEnv,
         seed: int,
         morphology: Morphology,
         *,
         deterministic: bool = True,
-        on_interval: Callable[[Trace | None], None] | None = None,
-        trace: bool = False,
+        on_interval: OnInterval | None = None,
     ) -> Outcomes:
         """One episode of a single robot.
 
@@ -79,18 +76,18 @@ class Policy:
             morphology: the body.
             deterministic: whether the likeliest action is taken, not a drawn one.
             on_interval: see `Crawl.run`.
-            trace: likewise.
         """
-        row = np.array([0])
-        seen: Any = robot.reset(row, [np_random(seed)[0]], [morphology])[0]
+        robot.on_interval = on_interval
+        seen, _ = robot.reset(seed=seed, options={"morphology": morphology})
         ended = False
         while not ended:
+            batch: Any = seen[None]
             if self.normalizer is not None:
-                seen = self.normalizer.normalize_obs(seen)
-            action, _ = self.actor.predict(seen, deterministic=deterministic)
-            step = robot.step(robot.checked(action, 1), row, on_interval, trace=trace)
-            seen, ended = step.observation, bool(step.terminated[0] or step.truncated[0])
-        return Outcomes.of(robot.crawl.progress(row))
+                batch = self.normalizer.normalize_obs(batch)
+            action, _ = self.actor.predict(batch, deterministic=deterministic)
+            seen, _, terminated, truncated, _ = robot.step(action[0])
+            ended = terminated or truncated
+        return Outcomes.of(robot.crawl.progress())
 
 
 def load(folder: Path, which: Which = "best") -> Policy:
@@ -147,8 +144,7 @@ class TrainedRobot:
         *,
         seed: int | None = None,
         deterministic: bool = True,
-        on_interval: Callable[[Trace | None], None] | None = None,
-        trace: bool = False,
+        on_interval: OnInterval | None = None,
     ) -> Outcomes:
         """Let it crawl for an episode, at its own timestep or another.
 
@@ -157,12 +153,11 @@ class TrainedRobot:
             seed: of the episode; the training's by default.
             deterministic: see `Policy.crawl`.
             on_interval: see `Crawl.run`.
-            trace: likewise.
         """
         physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
         return self.policy.crawl(
             judge(self.config, physics=physics), self.config.seed if seed is None else seed,
-            self.morphology, deterministic=deterministic, on_interval=on_interval, trace=trace,
+            self.morphology, deterministic=deterministic, on_interval=on_interval,
         )  # fmt: skip
 
     @property

@@ -1,33 +1,104 @@
-"""N robots in the reset/step protocol, as arrays: what the single and the vector environment share."""
+"""Episodes of N robots as arrays: what the single and the vector environment share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array, Rows
-from caterpillar_env.errors import MorphologyError, SimulationError, TimingError
-from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, count_steps
+from caterpillar_env.errors import MorphologyError, SimulationError, TimingError, check_choice
+from caterpillar_env.gait import GaitTimings, count_steps
 from caterpillar_env.model import joint_names
 from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.observation import observation_names, observe
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.randomization import Randomization
-from caterpillar_env.simulation import BodyState, Trace
-from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress, label
+from caterpillar_env.simulation import BodyState
+from caterpillar_env.task import STEPS_PER_INTERVAL, Crawl, Failure, OnInterval, Progress, label
 
-#: Bound of every entry of an observation; healthy robots stay around one.
+ActionMode = Literal["timing", "switch"]
+
+#: Bound of every entry of an observation; those of healthy robots stay around one.
 OBSERVATION_LIMIT = 1000.0
-#: Reset noise of 1 stands for 1 rad in the hinges and this much in the axial joints.
-_AXIAL_NOISE_M_RAD = 0.01
+#: With a reset noise of 1, hinges are displaced by up to 1 rad and axial joints by up to this much.
+_AXIAL_NOISE_M = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeConfig:
+    """Settings of episodes: arguments of `CaterpillarEnv`, which documents them.
+
+    Raises:
+        CaterpillarError: a setting is of the wrong kind or out of range.
+    """
+
+    physics: Physics
+    action_mode: ActionMode
+    symmetric: bool
+    gait_period_s: float
+    frame_skip: int
+    episode_s: float
+    max_episode_steps: int | None
+    forward_reward_weight: float
+    ctrl_cost_weight: float
+    failure_cost: float
+    reset_noise_scale: float
+    randomization: Randomization | None
+    terminate_on_failure: bool
+
+    def __post_init__(self) -> None:
+        check_choice("action_mode", self.action_mode, ActionMode, SimulationError)
+        if not isinstance(self.frame_skip, int) or self.frame_skip < 1:
+            raise SimulationError(
+                "frame_skip must be a whole number of control intervals (switch) or gait periods "
+                f"(timing), 1 or more; got {self.frame_skip!r}"
+            )
+        for name in (
+            "forward_reward_weight", "ctrl_cost_weight", "failure_cost", "reset_noise_scale"
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not (isinstance(value, (int, float, np.number)) and 0 <= value < np.inf):
+                raise SimulationError(f"{name} must be finite and not negative; got {value!r}")
+        count_steps(self.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
+        count_steps(self.episode_s, CONTROL_INTERVAL_S, "episode_s")
+        if self.randomization is not None:
+            self.randomization.check(self.physics)
+
+    @classmethod
+    def of(cls, arguments: Mapping[str, Any]) -> EpisodeConfig:
+        """Take the settings from the arguments of an environment, by name."""
+        chosen: dict[str, Any] = {f.name: arguments.get(f.name) for f in fields(cls)}
+        chosen["physics"] = Physics.of(chosen["physics"])
+        chosen["randomization"] = Randomization.of(chosen["randomization"])
+        return cls(**chosen)
+
+    @property
+    def step_intervals(self) -> int:
+        """Control intervals in a step of the environment."""
+        period = count_steps(self.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
+        return self.frame_skip * (period if self.action_mode == "timing" else 1)
+
+    @property
+    def episode_intervals(self) -> int:
+        """Control intervals in an episode without failure."""
+        intervals = count_steps(self.episode_s, CONTROL_INTERVAL_S, "episode_s")
+        if not self.max_episode_steps:
+            return intervals
+        return min(intervals, self.max_episode_steps * self.step_intervals)
+
+    @property
+    def clock_period_s(self) -> float | None:
+        """Period of the observed phase, s; None where no phase is observed, at whole gait periods."""
+        return self.gait_period_s if self.action_mode == "switch" else None
 
 
 class Step(NamedTuple):
-    """What a step gave, one entry per robot; `info` holds arrays by key."""
+    """Results of a step, one entry per robot; `info` holds arrays by key."""
 
     observation: NDArray[np.float32]
     reward: Array
@@ -37,77 +108,29 @@ class Step(NamedTuple):
 
 
 class Episodes:
-    """Episodes of N robots; arguments and defaults are documented for `CaterpillarEnv`.
+    """Episodes of N robots.
 
-    Raises:
-        CaterpillarError: an argument is of the wrong kind or out of range.
+    Args:
+        bodies: one for each robot.
+        config: settings of the episodes.
+        threads: see `Simulation`.
     """
 
-    def __init__(
-        self,
-        bodies: Sequence[Morphology],
-        *,
-        threads: int,
-        action_mode: str = "timing",
-        symmetric: bool = True,
-        physics: Physics | dict[str, Any] | None = None,
-        gait_period_s: float = GAIT_PERIOD_S,
-        frame_skip: int = 1,
-        episode_s: float = EPISODE_S,
-        max_episode_steps: int | None = None,
-        forward_reward_weight: float = 100.0,
-        ctrl_cost_weight: float = 0.0,
-        failure_cost: float = 5.0,
-        reset_noise_scale: float = 0.0,
-        randomization: Randomization | Mapping[str, Any] | None = None,
-        terminate_on_failure: bool = True,
-    ) -> None:
-        if action_mode not in ("timing", "switch"):
-            raise SimulationError(f'action_mode must be "timing" or "switch"; got {action_mode!r}')
-        if not isinstance(frame_skip, int) or frame_skip < 1:
-            raise SimulationError(
-                "frame_skip must be a whole number of control intervals (switch) or gait periods "
-                f"(timing), 1 or more; got {frame_skip!r}"
-            )
-        for name, value in (
-            ("forward_reward_weight", forward_reward_weight),
-            ("ctrl_cost_weight", ctrl_cost_weight),
-            ("failure_cost", failure_cost),
-            ("reset_noise_scale", reset_noise_scale),
-        ):
-            if not (isinstance(value, (int, float, np.number)) and 0 <= value < np.inf):
-                raise SimulationError(f"{name} must be finite and not negative; got {value!r}")
-        self.physics = Physics.of(physics)
-        self.action_mode = action_mode
-        self.symmetric = symmetric
-        self.gait_period_s = gait_period_s
-        self._period_intervals = count_steps(gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
-        self.episode_s = episode_s
-        self._episode_intervals = count_steps(episode_s, CONTROL_INTERVAL_S, "episode_s")
-        self._frame_skip = frame_skip
-        self._step_intervals = frame_skip * (self._period_intervals if action_mode == "timing" else 1)
-        if max_episode_steps:
-            limit = max_episode_steps * self._step_intervals
-            self._episode_intervals = min(self._episode_intervals, limit)
-        self._weights = (forward_reward_weight, ctrl_cost_weight, failure_cost)
-        self._noise = reset_noise_scale
-        self._randomization = Randomization.of(randomization)
-        if self._randomization is not None:
-            self._randomization.check(self.physics)
-        self._terminate = terminate_on_failure
-        self._clock_s = gait_period_s if action_mode == "switch" else None
-        self.crawl = Crawl(bodies, self.physics, threads, stop_on_failure=terminate_on_failure)
-        self._unit = np.zeros((len(bodies), len(NAMES)))
-        self._intervals = np.zeros(len(bodies), dtype=np.int64)
+    def __init__(self, bodies: Sequence[Morphology], config: EpisodeConfig, threads: int) -> None:
+        self.config, physics = config, config.physics
+        self.crawl = Crawl(bodies, physics, threads, stop_on_failure=config.terminate_on_failure)
+        self._step_intervals, self._limit = config.step_intervals, config.episode_intervals
+        self._clock_s = config.clock_period_s
+        self._scaled_bodies = np.zeros((len(bodies), len(NAMES)))  # to [-1, 1], as observed
+        self._intervals = np.zeros(len(bodies), dtype=np.int64)  # made since reset
 
-        springs = self.physics.num_springs
         self.action_space: spaces.Box | spaces.MultiBinary
-        if action_mode == "timing":
-            size = springs if symmetric else 2 * springs
+        if config.action_mode == "timing":
+            size = physics.num_springs if config.symmetric else 2 * physics.num_springs
             self.action_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
         else:
-            self.action_space = spaces.MultiBinary(springs)
-        self.observation_names = observation_names(self.physics, clock=self._clock_s is not None)
+            self.action_space = spaces.MultiBinary(physics.num_springs)
+        self.observation_names = observation_names(physics, clock=self._clock_s is not None)
         self.observation_space = spaces.Box(
             -OBSERVATION_LIMIT, OBSERVATION_LIMIT, (len(self.observation_names),), np.float32
         )
@@ -120,7 +143,7 @@ class Episodes:
     def morphology(self, row: int) -> Morphology:
         """The body of a row."""
         body = self.crawl.simulation.bodies[row]
-        assert isinstance(body, Morphology)  # as given; one per segment is for `simulate` only
+        assert isinstance(body, Morphology)  # environments have no bodies of unlike segments
         return body
 
     def reset(
@@ -129,67 +152,68 @@ class Episodes:
         generators: Sequence[np.random.Generator],
         bodies: Sequence[Morphology] | None = None,
     ) -> tuple[NDArray[np.float32], dict[str, NDArray[Any]]]:
-        """Start new episodes in some rows, with a source of noise for each, and new bodies if given."""
-        joints = joint_names(self.physics.num_segments)
-        scale = np.array([_AXIAL_NOISE_M_RAD if n.startswith("axial") else 1.0 for n in joints])
-        drawn = np.array([g.uniform(-1.0, 1.0, len(joints)) for g in generators])
-        offset = self._noise * drawn * scale if self._noise else None
+        """Start new episodes.
+
+        Args:
+            rows: which robots.
+            generators: source of noise and conditions for each of them.
+            bodies: one for each of them; the present ones by default.
+        """
+        config, physics = self.config, self.config.physics
+        joints = joint_names(physics.num_segments)
+        noise = np.array([g.uniform(-1.0, 1.0, len(joints)) for g in generators])
+        offset = None
+        if config.reset_noise_scale:
+            scale = [_AXIAL_NOISE_M if name.startswith("axial") else 1.0 for name in joints]
+            offset = config.reset_noise_scale * noise * np.array(scale)
         conditions = None
-        if self._randomization is not None:
-            conditions = [self._randomization.draw(self.physics, g) for g in generators]
+        if config.randomization is not None:
+            conditions = [config.randomization.draw(physics, g) for g in generators]
         self.crawl.reset(bodies, rows, conditions=conditions, offset=offset)
-        self._unit[rows] = [2.0 * self.morphology(row).to_unit() - 1.0 for row in rows]
+        self._scaled_bodies[rows] = [2.0 * self.morphology(row).to_unit() - 1.0 for row in rows]
         self._intervals[rows] = 0
         state, start = self.crawl.simulation.state(rows), self.crawl.progress(rows)
-        nothing = np.zeros(len(rows))
-        info = _info(state, start, start, nothing, nothing) | self._met(rows)
-        return self._observe(rows, state, start), info
+        zeros = np.zeros(len(rows))
+        return self._observe(rows, state, start), self._info(rows, state, start, start, zeros, zeros)
 
     def step(
         self,
         actions: Array,
         rows: Rows,
-        on_interval: Callable[[Trace | None], None] | None = None,
-        *,
-        trace: bool = False,
+        on_interval: OnInterval | None = None,
     ) -> Step:
         """Advance some rows by one environment step; a robot that fails stops within it.
 
         Args:
-            actions: one per row, as `checked` returns them.
+            actions: one per row, as returned by `check_actions`.
             rows: which robots.
             on_interval: see `Crawl.run`.
-            trace: likewise.
         """
-        power = self._power(actions)
-        before = self.crawl.progress(rows)
-        # The last gait period of an episode may be a part of one.
-        left = np.minimum(self._episode_intervals - self._intervals[rows], self._step_intervals)
-        self.crawl.run(power, rows, on_interval, intervals=left, trace=trace)
+        config, before = self.config, self.crawl.progress(rows)
+        # The last gait period of an episode may be cut short.
+        left = np.minimum(self._limit - self._intervals[rows], self._step_intervals)
+        self.crawl.run(self._power(actions), rows, on_interval, intervals=left)
         self._intervals[rows] += left
         after = self.crawl.progress(rows)
 
-        forward_weight, ctrl_weight, failure_cost = self._weights
-        moved = after.distance_m - before.distance_m
-        moved[after.failure == Failure.DIVERGED] = 0.0  # wherever it is: that says nothing of it
-        new_failure = (after.failure != Failure.NONE) & (before.failure == Failure.NONE)
-        forward = forward_weight * moved
-        ctrl = -ctrl_weight * (after.energy_j - before.energy_j)
-        failed = after.failure != Failure.NONE if self._terminate else after.failure == Failure.DIVERGED
+        moved_m = after.distance_m - before.distance_m
+        diverged, failed = after.failure == Failure.DIVERGED, after.failure != Failure.NONE
+        moved_m[diverged] = 0.0  # a position after divergence means nothing
+        forward = config.forward_reward_weight * moved_m
+        ctrl = -config.ctrl_cost_weight * (after.energy_j - before.energy_j)
+        failure = -config.failure_cost * (failed & (before.failure == Failure.NONE))
+        terminated = failed if config.terminate_on_failure else diverged
         state = self.crawl.simulation.state(rows)
-        info = _info(state, before, after, forward, ctrl)
-        info["reward_failure"] = -failure_cost * new_failure
-        info |= self._met(rows)
         return Step(
             observation=self._observe(rows, state, after),
-            reward=forward + ctrl + info["reward_failure"],
-            terminated=failed,
-            truncated=~failed & (self._intervals[rows] >= self._episode_intervals),
-            info=info,
+            reward=forward + ctrl + failure,
+            terminated=terminated,
+            truncated=~terminated & (self._intervals[rows] >= self._limit),
+            info=self._info(rows, state, before, after, forward, ctrl) | {"reward_failure": failure},
         )
 
-    def checked(self, actions: Any, count: int) -> Array:
-        """The actions of `count` robots as an array.
+    def check_actions(self, actions: Any, count: int) -> Array:
+        """Return the actions of `count` robots as an array, (count, *action_space.shape).
 
         Raises:
             TimingError: wrong shape, not finite, or in switch mode not 0 or 1.
@@ -199,71 +223,76 @@ class Episodes:
             array = np.asarray(actions, dtype=np.float64)
             got = f"shape {array.shape}"
         except (TypeError, ValueError):
-            array, got = np.empty(0), f"no array of numbers: {actions!r}"
+            array, got = np.empty(0), repr(actions)
         if array.shape != expected:
             raise TimingError(
-                f"actions must be numbers of shape {expected[1:]} a robot, {expected} in all; got {got}"
+                f"actions must be numbers of shape {expected[1:]} per robot, {expected} in all; "
+                f"got {got}"
             )
         if not np.isfinite(array).all():
             raise TimingError(f"actions must be finite; got {actions!r}")
-        if self.action_mode == "switch" and not ((array == 0) | (array == 1)).all():
+        if self.config.action_mode == "switch" and not ((array == 0) | (array == 1)).all():
             raise TimingError(f"switch actions must be 0 (off) or 1 (on); got {actions!r}")
         return array
 
     def _power(self, actions: Array) -> Array:
-        """Share of the drive power, (R, steps, springs), for the coming environment step."""
-        if self.action_mode == "switch":
-            return np.repeat(actions[:, None, :], self._step_intervals * STEPS_PER_INTERVAL, axis=1)
-        timings = GaitTimings.from_action(actions, self.gait_period_s, mirrored=self.symmetric)
-        return np.tile(timings.power(SMA_STEP_S), (1, self._frame_skip, 1))
-
-    def _met(self, rows: Rows) -> dict[str, NDArray[Any]]:
-        """What randomised robots meet with, for `info`; nothing where nothing is randomised."""
-        met = [c for c in (self.crawl.simulation.conditions[row] for row in rows) if c is not None]
-        if not met:
-            return {}
-        strengths = np.empty(len(met), dtype=object)
-        strengths[:] = [c.strengths for c in met]
-        return {
-            "friction": np.array([c.friction for c in met]),
-            "spring_strengths": strengths,
-            "mass": np.array([c.mass for c in met]),
-            "ambient_c": np.array([c.ambient_c for c in met]),
-        }
+        """Share of the drive power in the next environment step, (R, steps, springs)."""
+        if self.config.action_mode == "switch":
+            return np.repeat(actions[:, None], self._step_intervals * STEPS_PER_INTERVAL, axis=1)
+        timings = GaitTimings.from_action(
+            actions, self.config.gait_period_s, mirrored=self.config.symmetric
+        )
+        return np.tile(timings.power(SMA_STEP_S), (1, self.config.frame_skip, 1))
 
     def _observe(self, rows: Rows, state: BodyState, progress: Progress) -> NDArray[np.float32]:
-        seen = observe(self.physics, state, progress.heading_rad, self._unit[rows], self._clock_s)
-        # Only a diverging robot comes near the limit, or is seen as NaN.
+        seen = observe(
+            self.config.physics, state, progress.heading_rad, self._scaled_bodies[rows], self._clock_s
+        )
+        # Only a diverging robot comes near the limit, or gives NaN.
         if not (np.abs(seen) < OBSERVATION_LIMIT).all():
             seen = np.clip(np.nan_to_num(seen), -OBSERVATION_LIMIT, OBSERVATION_LIMIT)
         return seen
 
+    def _info(
+        self, rows: Rows, state: BodyState, before: Progress, now: Progress, forward: Array, ctrl: Array
+    ) -> dict[str, NDArray[Any]]:
+        elapsed_s = np.maximum(now.time_s - before.time_s, CONTROL_INTERVAL_S)
+        info = {
+            "x_position": state.com_m[:, 0],
+            "y_position": state.com_m[:, 1],
+            "distance": now.distance_m,
+            "distance_from_origin": np.hypot(now.distance_m, now.lateral_m),
+            "x_velocity": (now.distance_m - before.distance_m) / elapsed_s,
+            "y_velocity": (now.lateral_m - before.lateral_m) / elapsed_s,
+            "reward_forward": forward,
+            "reward_ctrl": ctrl,
+            "energy_j": now.energy_j,
+            "body_load": now.body_load,
+            "time_s": now.time_s,
+            "failure": np.array([label(f) for f in now.failure], dtype=object),
+        }
+        if self.config.randomization is not None:
+            met = [c for c in (self.crawl.simulation.conditions[row] for row in rows) if c is not None]
+            strengths = np.empty(len(met), dtype=object)
+            strengths[:] = [c.strengths for c in met]
+            info |= {
+                "friction": np.array([c.friction for c in met]),
+                "spring_strengths": strengths,
+                "mass": np.array([c.mass for c in met]),
+                "ambient_c": np.array([c.ambient_c for c in met]),
+            }
+        return info
 
-def _info(
-    state: BodyState, before: Progress, now: Progress, forward: Array, ctrl: Array
-) -> dict[str, NDArray[Any]]:
-    elapsed = np.maximum(now.time_s - before.time_s, CONTROL_INTERVAL_S)
-    return {
-        "x_position": state.com_m[:, 0],
-        "y_position": state.com_m[:, 1],
-        "distance": now.distance_m,
-        "distance_from_origin": np.hypot(now.distance_m, now.lateral_m),
-        "x_velocity": (now.distance_m - before.distance_m) / elapsed,
-        "y_velocity": (now.lateral_m - before.lateral_m) / elapsed,
-        "reward_forward": forward,
-        "reward_ctrl": ctrl,
-        "energy_j": now.energy_j,
-        "body_load": now.body_load,
-        "time_s": now.time_s,
-        "failure": np.array([label(f) for f in now.failure], dtype=object),
-    }
 
+def read_morphologies(value: Any, num_envs: int) -> list[Morphology]:
+    """Return a body for each of `num_envs` robots.
 
-def morphologies_for(value: Any, num_envs: int) -> list[Morphology]:
-    """One body for each of `num_envs` robots from one for all, a sequence of them, or an (N, 8) array.
+    Args:
+        value: one body for all (as for `Morphology.of`), a sequence of them, or an array (num_envs, 8).
+        num_envs: number of robots.
 
     Raises:
-        MorphologyError: neither, or not as many as robots.
+        MorphologyError: a body is not usable, or their number is wrong.
     """
     if not isinstance(value, (Morphology, Mapping, Sequence)):
         value = np.atleast_1d(value)
@@ -278,7 +307,7 @@ def morphologies_for(value: Any, num_envs: int) -> list[Morphology]:
 
 
 def check_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) -> dict[str, Any]:
-    """The reset options as a new dict.
+    """Return the reset options as a new dict.
 
     Raises:
         SimulationError: not a mapping, or a key that is not in `known`.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import MorphologyError
+from caterpillar_env.errors import MorphologyError, from_mapping
 
 
 class Parameter(NamedTuple):
@@ -79,27 +79,19 @@ class Morphology:
 
     @classmethod
     def of(cls, value: Morphology | Mapping[str, Any] | Sequence[float] | NDArray[Any]) -> Morphology:
-        """The morphology that `value` describes.
+        """Return the morphology that `value` describes.
 
         Args:
-            value: a `Morphology`, a mapping with exactly the names in `NAMES` (SI units), or the
-                eight values in that order, shape (8,).
+            value: a `Morphology`, a mapping of the parameters that differ from the nominal body (names
+                in `NAMES`, SI units), or all eight values in that order, shape (8,).
 
         Raises:
-            MorphologyError: a name is unknown or missing, the shape is wrong, or a value is out of
-                bounds.
+            MorphologyError: a name is unknown, the shape is wrong, or a value is out of bounds.
         """
         if isinstance(value, Morphology):
             return value
         if isinstance(value, Mapping):
-            if set(value) != set(NAMES):
-                unknown = sorted(str(k) for k in set(value) - set(NAMES))
-                missing = [n for n in NAMES if n not in value]
-                raise MorphologyError(
-                    f"a morphology needs exactly {', '.join(NAMES)}; "
-                    f"unknown: {', '.join(unknown) or 'none'}; missing: {', '.join(missing) or 'none'}"
-                )
-            return cls(**value)
+            return from_mapping(cls, value, "a morphology", MorphologyError)
         try:
             array = np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError):

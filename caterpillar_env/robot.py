@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -17,10 +17,9 @@ from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import read, write_json
 from caterpillar_env.gait import GaitTimings, count_steps, pair_names, spring_names
-from caterpillar_env.morphology import Body, Morphology, segments_of
+from caterpillar_env.morphology import NAMES, Body, Morphology, segments_of
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
-from caterpillar_env.simulation import Trace
-from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress
+from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, OnInterval, Progress
 
 FORMAT = "caterpillar-individual-1"
 _CHUNK_STEPS = 10 * STEPS_PER_INTERVAL
@@ -59,8 +58,7 @@ def simulate(
     *,
     threads: int = 0,
     duration_s: float = EPISODE_S,
-    on_interval: Callable[[Trace | None], None] | None = None,
-    trace: bool = False,
+    on_interval: OnInterval | None = None,
 ) -> Outcomes:
     """Let P robots crawl side by side, each until it fails.
 
@@ -70,8 +68,7 @@ def simulate(
         physics: material, numerics, number of segments.
         threads: 0 means all cores; results do not depend on it.
         duration_s: how long each crawls.
-        on_interval: called after each control interval, see `Crawl.run`.
-        trace: whether to trace what is needed to draw.
+        on_interval: called with the trace of every control interval.
     """
     count_steps(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
     steps = count_steps(duration_s, CONTROL_INTERVAL_S, "the duration") * STEPS_PER_INTERVAL
@@ -82,7 +79,7 @@ def simulate(
     while first < steps:
         phase = first % power.shape[1]
         part = power[:, phase : phase + min(_CHUNK_STEPS, steps - first)]
-        crawl.run(part, on_interval=on_interval, trace=trace)
+        crawl.run(part, on_interval=on_interval)
         first += part.shape[1]
     return Outcomes.of(crawl.progress())
 
@@ -114,8 +111,7 @@ class AnyRobot(Protocol):
         self,
         timestep_s: float | None = None,
         *,
-        on_interval: Callable[[Trace | None], None] | None = None,
-        trace: bool = False,
+        on_interval: OnInterval | None = None,
     ) -> Outcomes:
         """Let it crawl once more, at its own timestep or another; see `simulate`."""
         ...
@@ -199,9 +195,9 @@ class Robot:
                 raise RobotError(f"gait.{kind} must be {', '.join(names)}; got {', '.join(given)}")
             body = data["morphology"]
             if isinstance(body, list) and body and isinstance(body[0], dict):
-                body = segments_of(tuple(Morphology.of(m) for m in body), physics.num_segments)
+                body = segments_of(tuple(map(_segment, body)), physics.num_segments)
             else:
-                body = Morphology.of(body)
+                body = _segment(body)
             timings = GaitTimings(
                 data["gait"]["period_s"],
                 np.array([float(given[n]["on_s"]) for n in names]),
@@ -242,6 +238,11 @@ class Robot:
                 "forwards without failing yet; give another run folder or the JSON file of one robot"
             )
         return read(file, cls.from_dict, RobotError, otherwise)
+
+
+def _segment(data: Any) -> Morphology:
+    """Read the morphology of a segment; unlike `Morphology.of`, all parameters must be given."""
+    return Morphology.of({**dict.fromkeys(NAMES), **data} if isinstance(data, dict) else data)
 
 
 def digest_of(data: dict[str, Any]) -> str:

@@ -24,6 +24,8 @@ from caterpillar_env.simulation import FREE_QPOS, Pose, Simulation, Trace
 
 #: Saunders 2009, section IV: distance travelled within 30 s of simulated time.
 EPISODE_S = 30.0
+#: Function to call after each control interval with its trace.
+OnInterval = Callable[[Trace], None]
 STEPS_PER_INTERVAL = count_steps(CONTROL_INTERVAL_S, SMA_STEP_S, "the control interval")
 
 
@@ -195,19 +197,17 @@ class Crawl:
         self,
         power: Array,
         rows: Rows | None = None,
-        on_interval: Callable[[Trace | None], None] | None = None,
+        on_interval: OnInterval | None = None,
         *,
         intervals: NDArray[np.int64] | None = None,
-        trace: bool = False,
     ) -> None:
         """Advance robots by whole control intervals; those that fail stop at the end of one.
 
         Args:
             power: share of the drive power, (R, intervals * STEPS_PER_INTERVAL, num_springs).
             rows: which robots; all by default. One that has failed already stands still.
-            on_interval: called after every interval with its trace (None unless `trace`).
+            on_interval: called with the trace of every interval.
             intervals: maximum number of control intervals of each robot, (R,); no limit by default.
-            trace: whether to record what is needed to draw.
 
         Raises:
             SimulationError: wrong shape, or not a whole number of control intervals.
@@ -230,13 +230,13 @@ class Crawl:
         places = np.arange(len(index))
         for number in range(count):
             first = number * STEPS_PER_INTERVAL
-            traced = self.simulation.advance(
-                heating, places, first, first + STEPS_PER_INTERVAL, trace=trace
+            trace = self.simulation.advance(
+                heating, places, first, first + STEPS_PER_INTERVAL, trace=on_interval is not None
             )
             moved = index[places]
             self._judge(moved)
-            if on_interval is not None:
-                on_interval(traced)
+            if on_interval is not None and trace is not None:
+                on_interval(trace)
             places = places[(limit[places] > number + 1) & ~self._stopped(moved)]
             if not places.size:
                 break

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,26 +14,42 @@ from numpy.typing import NDArray
 from caterpillar_env.arrays import Array, Rows
 from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.env import CaterpillarEnv
-from caterpillar_env.episodes import Episodes, check_options, morphologies_for
+from caterpillar_env.episodes import (
+    ActionMode,
+    EpisodeConfig,
+    Episodes,
+    check_options,
+    read_morphologies,
+)
 from caterpillar_env.errors import SimulationError
+from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import Physics
+from caterpillar_env.randomization import Randomization
+from caterpillar_env.task import EPISODE_S
 
 
 class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]]):
-    """`num_envs` caterpillars stepped together; row i is `CaterpillarEnv` reset with seed + i.
+    """`num_envs` caterpillars stepped together; row i is a `CaterpillarEnv` reset with seed + i.
 
-    Arguments are those of `CaterpillarEnv` and:
+    `reset(options=...)` takes a `morphology`, as below, and a `reset_mask`, a bool array (num_envs,). In
+    SAME_STEP mode, the last observation and info of an episode are in `final_obs` and `final_info`.
 
     Args:
         num_envs: number of rows.
-        morphology: one body for all rows, a list of `num_envs` of them, or an array (num_envs, 8).
-        autoreset_mode: when a row whose episode has ended starts anew (`AutoresetMode` or its value).
-        max_episode_steps: truncate after so many steps as well.
-        threads: 0 for all cores; results do not depend on it.
+        morphology: one body for all rows (as for `CaterpillarEnv`), a list of `num_envs` of them, or an
+            array (num_envs, 8).
+        physics: this and all arguments that are not listed here are those of `CaterpillarEnv`.
+        max_episode_steps: truncates episodes after this many steps too.
+        threads: to step on; 0 means all usable cores. The results do not depend on it.
+        autoreset_mode: when a row whose episode has ended starts a new one.
+        render_mode: None or "rgb_array", which draws every row.
 
-    `reset(options=...)` takes `morphology`, likewise, and `reset_mask`, a bool array (num_envs,). The
-    episode info of a row's last step is under `final_info`, its observation under `final_obs`
-    (`AutoresetMode.SAME_STEP`).
+    Attributes:
+        crawl: the simulated robots: `crawl.progress()`, `crawl.simulation.state()` and so on.
+
+    Raises:
+        CaterpillarError: an argument is of the wrong kind or out of range.
     """
 
     metadata: dict[str, Any] = {**CaterpillarEnv.metadata}  # noqa: RUF012
@@ -41,8 +57,21 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
     def __init__(
         self,
         num_envs: int = 1,
-        *,
         morphology: Any = None,
+        *,
+        physics: Physics | Mapping[str, Any] | None = None,
+        action_mode: ActionMode = "timing",
+        symmetric: bool = True,
+        gait_period_s: float = GAIT_PERIOD_S,
+        frame_skip: int = 1,
+        episode_s: float = EPISODE_S,
+        max_episode_steps: int | None = None,
+        forward_reward_weight: float = 100.0,
+        ctrl_cost_weight: float = 0.0,
+        failure_cost: float = 5.0,
+        reset_noise_scale: float = 0.0,
+        randomization: Randomization | Mapping[str, Any] | None = None,
+        terminate_on_failure: bool = True,
         threads: int = 0,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
@@ -51,16 +80,17 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         camera_name: str = "track",
         default_camera_config: dict[str, Any] | None = None,
         overlay: bool = False,
-        **episodes: Any,
     ) -> None:
+        config = EpisodeConfig.of(locals())
         if render_mode not in (None, "rgb_array"):
             raise SimulationError(
                 f'render_mode of the vector environment must be None or "rgb_array"; got {render_mode!r}'
             )
+        bodies = read_morphologies({} if morphology is None else morphology, num_envs)
         self.num_envs = num_envs
         self._mode = AutoresetMode(autoreset_mode)
-        bodies = morphologies_for(Morphology() if morphology is None else morphology, num_envs)
-        self._episodes = Episodes(bodies, threads=threads, **episodes)
+        self._episodes = Episodes(bodies, config, threads)
+        self.crawl = self._episodes.crawl
         self.single_action_space = self._episodes.action_space
         self.single_observation_space = self._episodes.observation_space
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -72,7 +102,6 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         }
         self.render_mode = render_mode
         view = View(width, height, camera_name, default_camera_config)
-        self.crawl = self._episodes.crawl
         self._pictures = Pictures(self.crawl, view, overlay=overlay)
         self._generators: list[np.random.Generator] = []
         self._done = np.zeros(num_envs, dtype=bool)
@@ -91,7 +120,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
     @property
     def episode_s(self) -> float:
         """Simulated length of an episode without failure, s."""
-        return self._episodes.episode_s
+        return self._episodes.config.episode_s
 
     @property
     def simulated_s(self) -> float:
@@ -119,7 +148,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
             )
         rows, bodies = np.flatnonzero(mask), None
         if "morphology" in chosen:
-            given = morphologies_for(chosen["morphology"], self.num_envs)
+            given = read_morphologies(chosen["morphology"], self.num_envs)
             bodies = [given[row] for row in rows]
         self._seed(seed, mask)
         info: dict[str, Any] = {}
@@ -145,7 +174,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         """Advance all rows by one step; see `autoreset_mode` for those whose episode has ended."""
         if not self._generators:
             raise SimulationError("call reset() before step()")
-        actions = self._episodes.checked(actions, self.num_envs)
+        actions = self._episodes.check_actions(actions, self.num_envs)
         if self._mode is AutoresetMode.DISABLED and self._done.any():
             raise SimulationError(
                 f"rows {np.flatnonzero(self._done).tolist()} have ended: reset them with "

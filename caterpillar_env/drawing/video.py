@@ -108,7 +108,7 @@ class Recording:
     def __init__(self, robot: AnyRobot, title: str = "", *, timestep_s: float | None = None) -> None:
         traces: list[Any] = []
         self.robot, self.title = robot, title
-        self.outcomes: Outcomes = robot.simulate(timestep_s, on_interval=traces.append, trace=True)
+        self.outcomes: Outcomes = robot.simulate(timestep_s, on_interval=traces.append)
         qpos = np.concatenate([t.qpos[0] for t in traces])
         # A robot that diverges is shown until its pose is no longer usable.
         shown = max(1, int(np.cumprod((np.abs(qpos) < _USABLE_M).all(axis=1)).sum()))

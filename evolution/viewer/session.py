@@ -92,7 +92,7 @@ class Session:
             return
         first = self._count * STEPS_PER_INTERVAL % len(self._power)
         part = self._power[None, first : first + STEPS_PER_INTERVAL]
-        self._crawl.run(part, on_interval=self._keep, trace=True)
+        self._crawl.run(part, on_interval=self._keep)
         self._count += 1
         self._record()
 
@@ -142,7 +142,7 @@ class Session:
             return self.individual
         return replace(self.individual, fitness_m=float(Outcomes.of(self.progress).fitness()[0]))
 
-    def _keep(self, trace: Trace | None) -> None:
+    def _keep(self, trace: Trace) -> None:
         self._trace = trace
 
     def _record(self) -> None:

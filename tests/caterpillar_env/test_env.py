@@ -321,7 +321,11 @@ def test_unknown_option_is_told_with_the_known_ones():
 @pytest.mark.parametrize(
     ("kwargs", "error", "message"),
     [
-        ({"action_mode": "torque"}, SimulationError, 'action_mode must be "timing" or "switch"'),
+        (
+            {"action_mode": "torque"},
+            SimulationError,
+            "action_mode = 'torque' must be one of timing, switch",
+        ),
         ({"frame_skip": 0}, SimulationError, "frame_skip must be a whole number"),
         ({"frame_skip": 1.5}, SimulationError, "frame_skip must be a whole number"),
         ({"failure_cost": -1.0}, SimulationError, "failure_cost must be finite and not negative"),

@@ -31,7 +31,6 @@ def crawled(rows, threads=1, duration_s=DURATION_S):
         threads=threads,
         duration_s=duration_s,
         on_interval=traces.append,
-        trace=True,
     )
     assert not outcome.failure.any()  # so that every interval holds every row
     return outcome, np.concatenate([t.qpos for t in traces], axis=1)

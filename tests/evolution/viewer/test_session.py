@@ -55,7 +55,7 @@ def test_history_and_poses_are_those_of_the_simulation(robot):
     assert history.temperature_c[3, 1] == pytest.approx(ambient)  # not powered yet
 
     traces = []
-    robot.simulate(threads=1, duration_s=0.3, on_interval=traces.append, trace=True)
+    robot.simulate(threads=1, duration_s=0.3, on_interval=traces.append)
     for step in (0, 4, 9):
         qpos, temperature_c = session.pose(0.2 + (step + 1) * SMA_STEP_S)
         np.testing.assert_array_equal(qpos, traces[-1].qpos[0, step])
