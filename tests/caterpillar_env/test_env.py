@@ -324,7 +324,7 @@ def test_unknown_option_is_told_with_the_known_ones():
         (
             {"action_mode": "torque"},
             SimulationError,
-            "action_mode = 'torque' must be one of timing, switch",
+            "must be one of timing, switch",
         ),
         ({"frame_skip": 0}, SimulationError, "frame_skip must be a whole number"),
         ({"frame_skip": 1.5}, SimulationError, "frame_skip must be a whole number"),
