@@ -25,11 +25,14 @@ __all__ = [
     "GaitTimings",
     "Morphology",
     "MorphologyError",
+    "Outcomes",
     "Physics",
     "PhysicsError",
+    "Robot",
     "SimulationError",
     "SmaSpring",
     "TimingError",
+    "simulate",
 ]
 
 for _id, _mode in (("CaterpillarSMA-v0", "timing"), ("CaterpillarSMASwitch-v0", "switch")):
@@ -47,8 +50,11 @@ _LAZY = {
     "CaterpillarVectorEnv": "vector_env",
     "GaitTimings": "gait",
     "Morphology": "morphology",
+    "Outcomes": "robot",
     "Physics": "physics",
+    "Robot": "robot",
     "SmaSpring": "sma",
+    "simulate": "robot",
 }
 
 

@@ -1,4 +1,4 @@
-"""Errors that a caller can mend: each says what was expected, what came and what to do."""
+"""Errors that a caller can fix; each says what was expected, what was given and what to do."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 
 class CaterpillarError(ValueError):
-    """Base of every error that this project raises on purpose."""
+    """Base class of all errors that this project raises on purpose."""
 
 
 class MorphologyError(CaterpillarError):
@@ -18,7 +18,7 @@ class MorphologyError(CaterpillarError):
 
 
 class TimingError(CaterpillarError):
-    """Times are of the wrong shape, not finite, out of range or no whole number of steps."""
+    """Times have the wrong shape, are not finite or out of range, or are no whole number of steps."""
 
 
 class PhysicsError(CaterpillarError):
@@ -26,18 +26,17 @@ class PhysicsError(CaterpillarError):
 
 
 class SimulationError(CaterpillarError):
-    """A simulation was asked for something it cannot do (settings, rows, shapes, order of calls)."""
+    """A simulation cannot do what was asked: wrong settings, rows, shapes or order of calls."""
 
 
 def from_mapping(kind: type[T], value: Any, what: str, error: type[CaterpillarError]) -> T:
-    """A dataclass from some of its fields by name.
+    """Make a dataclass from some of its fields; the others keep their defaults.
 
     Args:
         kind: the dataclass.
-        value: what should be a mapping of its fields.
-        what: it is, in a message.
-        error: raised where `value` is no mapping, or has a field that there is not, or something else
-            where a number belongs.
+        value: mapping of field names to values.
+        what: name of the dataclass in messages.
+        error: raised if `value` is not a mapping, has an unknown field, or text in place of a number.
     """
     if not isinstance(value, Mapping):
         raise error(f"{what} takes a mapping of its fields; got {value!r}")
@@ -52,7 +51,7 @@ def from_mapping(kind: type[T], value: Any, what: str, error: type[CaterpillarEr
 
 
 def check_choice(name: str, value: Any, choices: Any, error: type[CaterpillarError]) -> None:
-    """See that a value is one of a `Literal`'s; `error` is raised where it is not."""
+    """Raise `error` unless a value is one of a `Literal`'s."""
     known = get_args(choices)
     if value not in known:
         raise error(f"{name} = {value!r} must be one of {', '.join(known)}")

@@ -1,4 +1,4 @@
-"""Files that are whole or not there, and folders that are new."""
+"""Writing files atomically, reading them with clear errors, and making new folders."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class FileError(CaterpillarError):
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Tells what keeps a file or a folder from being written, and what can be done.
+    """Raise a `FileError` with advice if a file or folder cannot be written.
 
     Raises:
-        FileError: the file system, or what writes into it, refuses.
+        FileError: the block raised an OSError or a ValueError.
     """
     try:
         yield
@@ -35,14 +35,14 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def make_folder(path: Path, otherwise: str) -> None:
-    """Make a folder, which may be there if nothing is in it.
+    """Make a folder; it may exist if it is empty.
 
     Args:
         path: of the folder.
-        otherwise: what else there is to say where there is something in it.
+        otherwise: further advice for the message if the folder is not empty.
 
     Raises:
-        FileError: there is something in it, or it cannot be made.
+        FileError: the folder is not empty, or cannot be made.
     """
     with writing(path):
         path.mkdir(parents=True, exist_ok=True)
@@ -51,7 +51,7 @@ def make_folder(path: Path, otherwise: str) -> None:
 
 
 def unused(parent: Path, name: str) -> Path:
-    """A folder of this name that is not there yet, numbered if need be."""
+    """Return a path in `parent` that does not exist yet, numbered if necessary."""
     number = 1
     while (folder := parent / (name if number == 1 else f"{name}-{number}")).exists():
         number += 1
@@ -59,7 +59,7 @@ def unused(parent: Path, name: str) -> Path:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write a file whole or not at all."""
+    """Write a JSON file completely or not at all."""
     partial = path.with_name(f".{path.name}.partial")
     partial.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
     os.replace(partial, path)
@@ -72,14 +72,14 @@ def read(
     missing: str,
     parse: Callable[[str], Any] = json.loads,
 ) -> T:
-    """What a file holds.
+    """Read a file.
 
     Args:
         path: of the file.
-        make: takes its parsed text.
-        error: raised where there is no such file, or nothing in it that can be used.
-        missing: what is to be done where there is none.
-        parse: takes its text.
+        make: makes the result from the parsed text.
+        error: raised if the file is missing or not usable.
+        missing: advice for the message if the file is missing.
+        parse: parses the text.
     """
     try:
         data = parse(path.read_text(encoding="utf-8"))

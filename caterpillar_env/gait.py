@@ -42,13 +42,13 @@ def mirror(pairs: Array) -> Array:
 class GaitTimings:
     """On and off times of any number of springs in one shared period.
 
-    A spring is powered from `on_s` to `off_s`, round the end of the period when `off_s` < `on_s`, and
+    A spring is powered from `on_s` to `off_s`, past the end of the period when `off_s` < `on_s`, and
     never when both are equal.
 
     Args:
         period_s: gait period, s.
         on_s: times of switching on, in [0, period_s], shape (..., springs).
-        off_s: times of switching off, likewise.
+        off_s: times of switching off, in [0, period_s], same shape.
 
     Raises:
         TimingError: shapes differ, or a time is not finite or outside [0, period_s].
@@ -93,19 +93,19 @@ class GaitTimings:
         return cls(period_s, mirror(on_s), mirror(off_s)) if mirrored else cls(period_s, on_s, off_s)
 
     def to_action(self) -> NDArray[np.float32]:
-        """The action that stands for these timings, shape (..., 2 n), float32: see `from_action`."""
+        """Return the action for these timings, shape (..., 2 n), float32; see `from_action`."""
         times = np.stack([self.on_s, self.off_s], axis=-1).reshape(*self.on_s.shape[:-1], -1)
         return (2.0 * times / self.period_s - 1.0).astype(np.float32)
 
     def mirrored(self) -> GaitTimings:
-        """Timings of the springs, when these are those of the pairs."""
+        """Return the timings of the springs, where these are those of mirrored pairs."""
         return GaitTimings(self.period_s, mirror(self.on_s), mirror(self.off_s))
 
     def of_springs(self, num_springs: int) -> GaitTimings:
-        """Timings of every spring, from those of the springs or of the mirrored pairs.
+        """Return the timings of all springs, from those of the springs or of the mirrored pairs.
 
         Raises:
-            TimingError: neither as many times as springs nor as pairs.
+            TimingError: the number of times is neither that of springs nor that of pairs.
         """
         given = self.on_s.shape[-1] if self.on_s.ndim else 0
         if given == num_springs:
@@ -118,7 +118,7 @@ class GaitTimings:
         return self.mirrored()
 
     def power(self, step_s: float) -> Array:
-        """Share of each step in which the power is on, over one period.
+        """Return the share of each step in which the power is on, over one period.
 
         Args:
             step_s: length of a step, s; a whole number of steps must make up the period.
@@ -139,10 +139,10 @@ class GaitTimings:
 
 
 def count_steps(duration_s: float, step_s: float, what: str) -> int:
-    """How many steps make up a duration.
+    """Return the number of steps in a duration.
 
     Raises:
-        TimingError: not a whole number of steps, or none; `what` names the duration.
+        TimingError: not a whole number of steps, 1 or more; the message names the duration `what`.
     """
     finite = isinstance(duration_s, (int, float, np.number)) and np.isfinite(duration_s)
     count = round(duration_s / step_s) if finite else 0

@@ -126,15 +126,15 @@ Body = Morphology | tuple[Morphology, ...]
 
 
 def length_m(segments: Sequence[Morphology]) -> float:
-    """Length of a body from its segments, m."""
+    """Return the length of a body, m."""
     return sum(segment.segment_length_m for segment in segments)
 
 
 def segments_of(body: Body, num_segments: int) -> tuple[Morphology, ...]:
-    """The morphology of each segment, from head to tail.
+    """Return the morphology of each segment, from head to tail.
 
     Raises:
-        MorphologyError: neither one morphology nor one a segment.
+        MorphologyError: `body` is neither one morphology nor one per segment.
     """
     if isinstance(body, Morphology):
         return (body,) * num_segments

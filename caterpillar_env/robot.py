@@ -1,4 +1,4 @@
-"""Robots: a body, a gait and the physics that they crawl in, and what becomes of them in 30 s."""
+"""Robots: a body with its gait and physics, and the outcome of letting it crawl for 30 s."""
 
 from __future__ import annotations
 
@@ -27,21 +27,20 @@ _TIMED = {"pairs": pair_names, "springs": spring_names}
 
 
 class RobotError(CaterpillarError):
-    """A file does not hold an individual."""
+    """A file does not describe a robot."""
 
 
 class Outcomes(NamedTuple):
-    """What became of P genomes. A failure is a status, not a number."""
+    """Outcomes of P robots."""
 
     failure: NDArray[np.int8]  #: values of `Failure`, (P,)
-    distance_m: Array  #: until the end or the failure, finite, (P,)
+    distance_m: Array  #: until the end or the failure; 0 where it is not finite, (P,)
     energy_j: Array  #: electrical, (P,)
-    simulated_s: Array  #: really stepped, (P,)
+    simulated_s: Array  #: until the end or the failure, (P,)
 
     @classmethod
     def of(cls, end: Progress) -> Outcomes:
-        """What became of robots that have come to their end."""
-        # Of a robot that went nowhere finite no distance can be told; its status says why.
+        """Outcomes of robots that have failed or reached the end."""
         distance_m = np.where(np.isfinite(end.distance_m), end.distance_m, 0.0)
         return cls(end.failure, distance_m, end.energy_j, end.time_s)
 
@@ -60,14 +59,14 @@ def simulate(
     duration_s: float = EPISODE_S,
     on_interval: OnInterval | None = None,
 ) -> Outcomes:
-    """Let P robots crawl side by side, each until it fails.
+    """Simulate P robots, each until it fails.
 
     Args:
-        bodies: P of them.
+        bodies: one for each robot.
         timings: of their springs or mirrored pairs, arrays of shape (P, springs) or (P, pairs).
         physics: material, numerics, number of segments.
-        threads: 0 means all cores; results do not depend on it.
-        duration_s: how long each crawls.
+        threads: 0 means all usable cores; the results do not depend on it.
+        duration_s: simulated time, a multiple of 0.1 s.
         on_interval: called with the trace of every control interval.
     """
     count_steps(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
@@ -85,45 +84,36 @@ def simulate(
 
 
 class AnyRobot(Protocol):
-    """A body and whatever drives it: a `Robot`, or a trained policy. A dataclass."""
+    """What videos and comparisons need of a robot: a `Robot`, or one driven by a trained policy."""
 
     @property
     def morphology(self) -> Body:
-        """Its body."""
-        ...
+        """The body."""
 
     @property
     def physics(self) -> Physics:
-        """What it was evaluated in."""
-        ...
+        """The physics that it was evaluated in."""
 
     @property
     def fitness_m(self) -> float | None:
-        """How far it crawled, as recorded."""
-        ...
+        """The recorded fitness, m."""
 
     @property
     def digest(self) -> str:
-        """Tells it from any other robot."""
-        ...
+        """Hash that identifies the robot."""
 
     def simulate(
-        self,
-        timestep_s: float | None = None,
-        *,
-        on_interval: OnInterval | None = None,
+        self, timestep_s: float | None = None, *, on_interval: OnInterval | None = None
     ) -> Outcomes:
-        """Let it crawl once more, at its own timestep or another; see `simulate`."""
-        ...
+        """Simulate the robot, at another timestep if one is given; see `simulate`."""
 
     def save(self, path: Path) -> None:
-        """Keep it as JSON, with what belongs to it beside that."""
-        ...
+        """Write the robot as JSON, with further files beside it if it has any."""
 
 
 @dataclass(frozen=True)
 class Robot:
-    """A body with its gait, in the physics that it was evaluated in."""
+    """A body with its gait, and the physics that it was evaluated in."""
 
     morphology: Body
     timings: GaitTimings  #: of the mirrored pairs or the springs, arrays of shape (pairs,) or (springs,)
@@ -133,13 +123,13 @@ class Robot:
     evaluation: int | None = None  #: number in the journal of its run
 
     def simulate(self, timestep_s: float | None = None, **kwargs: Any) -> Outcomes:
-        """Let it crawl once more, at its own timestep or another; keywords as for `simulate`."""
+        """Simulate the robot, at another timestep if one is given; keywords as for `simulate`."""
         physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
         return simulate([self.morphology], self.gaits, physics, **kwargs)
 
     @property
     def gaits(self) -> GaitTimings:
-        """The timings as those of one robot among many, arrays of shape (1, n)."""
+        """The timings as arrays of shape (1, n), for `simulate`."""
         return replace(self.timings, on_s=self.timings.on_s[None], off_s=self.timings.off_s[None])
 
     @property
@@ -148,16 +138,16 @@ class Robot:
 
     @property
     def timed(self) -> list[str]:
-        """Names of what `timings` are of: mirrored pairs or springs."""
+        """Names of the mirrored pairs or springs that `timings` refers to."""
         return _TIMED[self._kind](self.physics.num_segments)
 
     @property
     def digest(self) -> str:
-        """What tells this robot, with its record, from any other."""
+        """Hash that identifies the robot, with its record."""
         return digest_of(self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain JSON; every number carries its unit in its name."""
+        """Return the robot as plain JSON; names carry units."""
         body, timings = self.morphology, self.timings
         times = zip(self.timed, timings.on_s.tolist(), timings.off_s.tolist(), strict=True)
         return {
@@ -177,7 +167,7 @@ class Robot:
 
     @classmethod
     def from_dict(cls, data: Any) -> Robot:
-        """The individual in plain JSON.
+        """Read a robot from plain JSON.
 
         Raises:
             CaterpillarError: a part is missing or unusable.
@@ -203,41 +193,35 @@ class Robot:
                 np.array([float(given[n]["on_s"]) for n in names]),
                 np.array([float(given[n]["off_s"]) for n in names]),
             )
-            return cls(
-                body,
-                timings,
-                physics,
-                data.get("fitness_m"),
-                data.get("generation"),
-                data.get("evaluation"),
-            )
+            record = {name: data.get(name) for name in ("fitness_m", "generation", "evaluation")}
+            return cls(body, timings, physics, **record)
         except CaterpillarError:
             raise
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise RobotError(f"the robot lacks a part, or one is unusable: {error}") from None
 
-    def save(self, path: Path) -> None:
-        """Write `path`."""
-        write_json(path, self.to_dict())
+    def save(self, path: str | Path) -> None:
+        """Write the robot as JSON."""
+        write_json(Path(path), self.to_dict())
 
     @classmethod
-    def load(cls, path: Path) -> Robot:
-        """Read `path`: a run folder or a JSON file.
+    def load(cls, path: str | Path) -> Robot:
+        """Read a robot from its JSON file, or the best one from a run folder.
 
         Raises:
-            CaterpillarError: no such file, no JSON, or no individual in it.
+            CaterpillarError: no such file, or no robot in it.
         """
-        otherwise = (
-            "give a run folder or the JSON file of one robot (a trained policy crawls by caterpillar rl "
-            "eval)"
+        path, advice = Path(path), "give a run folder or the JSON file of one robot"
+        if os.path.isdir(path):
+            if not (path / "best.json").exists():
+                raise RobotError(
+                    f"{path} holds no best.json: it is no run folder, or no robot of the run has "
+                    f"crawled forwards without failing yet; {advice}"
+                )
+            path = path / "best.json"
+        return read(
+            path, cls.from_dict, RobotError, f"{advice} (for a trained policy: caterpillar rl eval)"
         )
-        file = path / "best.json" if os.path.isdir(path) else path
-        if file != path and not file.exists():
-            raise RobotError(
-                f"{path} holds no best.json: it is no run folder, or no robot of the run has crawled "
-                "forwards without failing yet; give another run folder or the JSON file of one robot"
-            )
-        return read(file, cls.from_dict, RobotError, otherwise)
 
 
 def _segment(data: Any) -> Morphology:
@@ -246,5 +230,5 @@ def _segment(data: Any) -> Morphology:
 
 
 def digest_of(data: dict[str, Any]) -> str:
-    """Tells a robot, as plain JSON, from any other."""
+    """Return a hash of plain JSON."""
     return hashlib.blake2b(json.dumps(data).encode(), digest_size=16).hexdigest()

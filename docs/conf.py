@@ -1,11 +1,8 @@
 """How the documentation is built; nothing is fetched from the network."""
 
-import inspect
 from importlib.metadata import version as installed_version
 
 from sphinx.application import Sphinx
-
-from caterpillar_env import CaterpillarEnv
 
 project = "Caterpillar"
 author = "the authors of Caterpillar"
@@ -30,15 +27,6 @@ autodoc_preserve_defaults = True
 default_role = "py:obj"  # `Name` in a docstring is a link where there is something to link to
 napoleon_numpy_docstring = False
 
-_SPECIFICATION = "<!-- specification -->"
-
-
-def _insert_specification(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Put the environment's docstring, which is Markdown, into its page."""
-    if docname == "environment":
-        source[0] = source[0].replace(_SPECIFICATION, inspect.getdoc(CaterpillarEnv) or "")
-        app.env.note_dependency(inspect.getfile(CaterpillarEnv))
-
 
 def _before_napoleon(
     app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]
@@ -51,11 +39,8 @@ def _before_napoleon(
             "..",
             "",
         ]  # else "full: every spring" on the first line is a type and its description
-    elif obj is CaterpillarEnv:  # Markdown
-        lines[:] = ["One robot. Its docstring, the specification, is the page :doc:`/environment`.", ""]
 
 
 def setup(app: Sphinx) -> None:
     """Connect the above."""
-    app.connect("source-read", _insert_specification)
     app.connect("autodoc-process-docstring", _before_napoleon, priority=1)

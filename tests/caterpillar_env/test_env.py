@@ -261,6 +261,21 @@ def test_new_body_is_kept_until_replaced():
     assert env.morphology == Morphology()
 
 
+def test_body_is_changed_in_part():
+    env = CaterpillarEnv({"segment_length_m": 0.024})
+    assert env.morphology == Morphology(segment_length_m=0.024)
+    env.reset(options={"morphology": {"segment_radius_m": 0.010}})
+    assert env.morphology == Morphology(segment_radius_m=0.010)
+
+
+def test_traces_of_a_step_are_handed_over():
+    env, traces = timing_env(), []
+    env.on_interval = traces.append
+    env.step(some_action(env))
+    assert [trace.qpos.shape for trace in traces] == [(1, 10, 18)] * 10
+    np.testing.assert_array_equal(traces[-1].qpos[0, -1], env.crawl.simulation.qpos(0))
+
+
 def test_refused_body_leaves_the_old_one():
     env = timing_env(morphology=SMALL)
     with pytest.raises(MorphologyError, match="joint_limit_rad"):

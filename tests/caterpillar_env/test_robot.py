@@ -217,3 +217,12 @@ def test_individual_of_genome_has_one_gait(individual):
 def test_every_failure_has_a_label():
     labels = ["ok", "diverged", "flipped", "tipped", "jumped", "veered", "sagged"]
     assert [label(f) for f in Failure] == labels
+
+
+def test_robot_is_loaded_from_a_text_path(tmp_path):
+    timings = GaitTimings(5.0, np.zeros(6), np.ones(6))
+    robot = Robot(Morphology(), timings, Physics(), 0.1, generation=2, evaluation=41)
+    robot.save(str(tmp_path / "best.json"))
+    for path in (tmp_path, tmp_path / "best.json"):
+        assert Robot.load(str(path)).digest == robot.digest
+        assert Robot.load(path).evaluation == 41

@@ -1,6 +1,5 @@
 """What the documentation shows can be run, and what it points to is there."""
 
-import inspect
 import re
 import shlex
 from pathlib import Path
@@ -9,7 +8,6 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from caterpillar_env import CaterpillarEnv
 from evolution import cli
 from evolution.study.config import read_toml
 
@@ -39,8 +37,7 @@ class Block(NamedTuple):
 
 
 def text_of(page: Path) -> str:
-    specification = inspect.getdoc(CaterpillarEnv)
-    return page.read_text(encoding="utf-8").replace("<!-- specification -->", specification)
+    return page.read_text(encoding="utf-8")
 
 
 def blocks(page: Path) -> list[Block]:
