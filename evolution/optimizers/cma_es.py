@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import cma
 import numpy as np
 
 from caterpillar_env.arrays import Array
 from evolution.optimizers.base import GenerationalOptimizer, OptimizerError
 from evolution.priors.distributions import ClippedGaussian, Distribution
+
+if TYPE_CHECKING:
+    import cma
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,8 @@ class CmaEs(GenerationalOptimizer):
         self._is_flat = bool(np.ptp(fitness) == 0)
 
     def _make_strategy(self, start: Array, population: int | None) -> cma.CMAEvolutionStrategy:
+        import cma  # takes a second, because it imports Matplotlib
+
         sigma = self._config.cma_sigma
         widths = [
             min(d.sigma, sigma) if isinstance(d, ClippedGaussian) else sigma for d in self._distributions

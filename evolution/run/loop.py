@@ -61,6 +61,7 @@ def evolve(
     """
     folder = Path(folder)
     own = {"own_optimizer": _name(optimizer), "own_objective": _name(objective)}
+    optimizer = optimizer or config.make_optimizer()  # if it fails, no folder is made
     with evaluator or LocalEvaluator() as workers:  # an unreachable cluster leaves no folder behind
         make_folder(folder, f", or continue the run in it with `caterpillar resume {folder}`")
         with Journal.create(folder, config.to_dict() | own) as journal:
@@ -118,13 +119,14 @@ def resume(
             journal.configure(history.configuration | longer.to_dict())
         if on_warning is not None:
             _warn_of_versions(history, on_warning)
+        optimizer = optimizer or History(journal).config.make_optimizer()
         with evaluator or LocalEvaluator() as workers:
             return _run(journal, optimizer, objective, workers, on_generation, on_progress)
 
 
 def _run(
     journal: Journal,
-    optimizer: Optimizer | None,
+    optimizer: Optimizer,
     objective: Objective | None,
     evaluator: Evaluator,
     on_generation: Callable[[Generation], None] | None,
@@ -132,7 +134,6 @@ def _run(
 ) -> History:
     history = History(journal, objective)
     config = history.config
-    optimizer = optimizer or config.make_optimizer()
     objective = objective or OBJECTIVES[config.objective]
     journal.begin()
     try:

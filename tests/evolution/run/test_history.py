@@ -1,6 +1,8 @@
 """Exporting runs and listing them."""
 
 import json
+import shutil
+import sqlite3
 from dataclasses import replace
 
 import mujoco
@@ -166,6 +168,35 @@ def test_as_long_as_all_fail_the_one_that_came_furthest_leads(tmp_path):
     fitness_m = [leader.fitness_m for leader in load(tmp_path).leaders()]
     assert fitness_m == [0.0, 0.0, 0.002]
     assert [leader.generation for leader in load(tmp_path).leaders()] == [0, 1, 2]
+
+
+def test_of_equal_robots_the_first_stays_the_best(tmp_path):
+    genomes = np.random.default_rng(0).random((3, len(CONFIG.encoding.genes)))
+    outcomes = Outcomes(np.zeros(1, dtype=np.int8), np.array([0.1]), np.ones(1), np.full(1, 30.0))
+    with Journal.create(tmp_path, CONFIG.to_dict()) as journal:
+        journal.begin()
+        history = History(journal)
+        for genome in genomes:
+            history.append(genome[None], outcomes)
+            history.complete()
+        assert history.best.number == 0
+    assert Robot.load(tmp_path).evaluation == load(tmp_path).best.number == 0
+
+
+def test_a_journal_without_the_ends_of_generations_is_read_the_same(runs, tmp_path):
+    for name in ("done", "stopped"):
+        folder = shutil.copytree(runs / name, tmp_path / name)
+        db = sqlite3.connect(folder / FILE)
+        db.executescript("DROP TABLE generations; PRAGMA user_version = 1;")
+        db.close()
+        now, then = load(folder), load(runs / name)
+        # Without its end, the last generation of a run that was stopped counts as incomplete.
+        complete = len(then.generations) if then.finished else len(then.generations) - 1
+        assert [g._replace(elapsed_s=0.0) for g in now.generations] == [
+            g._replace(elapsed_s=0.0) for g in then.generations[:complete]
+        ]
+        if then.finished:
+            assert now.best.number == then.best.number
 
 
 def test_run_without_evaluations_has_no_leaders(tmp_path):
