@@ -1,1 +1,1 @@
-"""Speed, as ratios against the bare engine in the same run; docs/performance.md shows the results."""
+"""Speed relative to the bare engine; docs/performance.md shows the results."""

@@ -1,10 +1,9 @@
-"""Environment steps against the bare engine, and against what users would pick instead.
+"""Cost of environment steps relative to the bare engine and to alternatives.
 
     python -m benchmarks.environments           # about fifteen minutes on two cores
     python -m benchmarks.environments --single  # only the single environments
 
-Ours, the limit and the peers make the same physics steps: the engine's calls of our environment are
-recorded and repeated with nothing around them.
+All make the same physics steps: the engine's calls of our environment are recorded and repeated alone.
 """
 
 from __future__ import annotations
@@ -25,20 +24,20 @@ from benchmarks.harness import report, spread, turns
 from caterpillar_env.arrays import Array
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.sma import SmaState, advance
-from caterpillar_env.validation.recorder import recorded
+from caterpillar_env.validation.recorder import record_calls
 
 IDS = {"switch": "CaterpillarSMASwitch-v0", "timing": "CaterpillarSMA-v0"}
 SEED = 0
 
 
-def actions_of(space: gymnasium.Space[Any], count: int) -> list[Any]:
-    """Random actions, the same at every call."""
+def sample_actions(space: gymnasium.Space[Any], count: int) -> list[Any]:
+    """Return random actions, the same in every call."""
     space.seed(SEED)
     return [space.sample() for _ in range(count)]
 
 
 def run(env: Any, actions: list[Any]) -> Callable[[], Callable[[int], Any]]:
-    """The steps of an environment that is reset first."""
+    """Return a contestant that resets an environment and steps it, see `harness.turns`."""
 
     def begin() -> Callable[[int], Any]:
         env.reset(seed=SEED)
@@ -47,36 +46,36 @@ def run(env: Any, actions: list[Any]) -> Callable[[], Callable[[int], Any]]:
     return begin
 
 
-class Repeated:
-    """What an environment asks of the engine, step by step."""
+class EngineSteps:
+    """The engine's calls of an environment, by step."""
 
     def __init__(self, env: Any, actions: list[Any]) -> None:
         env.reset(seed=SEED)
         ends = [0]
-        with recorded(env.unwrapped.crawl.simulation) as self.calls:
+        with record_calls(env.unwrapped.crawl.simulation) as self.calls:
             for action in actions:
                 env.step(action)
                 ends.append(len(self.calls.calls))
         self.spans = list(itertools.pairwise(ends))
 
-    def alone(self, threads: int) -> Callable[[], Callable[[int], Any]]:
-        """The same with nothing around it."""
+    def repeat(self, threads: int) -> Callable[[], Callable[[int], Any]]:
+        """Return a contestant that makes the same calls alone."""
 
         def begin() -> Callable[[int], Any]:
-            batch = self.calls.batch(threads)
+            batch = self.calls.make_batch(threads)
             return lambda number: self.calls.repeat(batch, *self.spans[number])
 
         return begin
 
 
 def vector(mode: str, count: int, steps: int, repeats: int) -> dict[str, Any]:
-    """`make_vec` against bare Batch, SyncVectorEnv and AsyncVectorEnv."""
+    """Compare `make_vec` with the bare Batch, SyncVectorEnv and AsyncVectorEnv."""
     native: Any = gymnasium.make_vec(IDS[mode], num_envs=count, threads=0)
     single = gymnasium.make_vec(IDS[mode], num_envs=count, threads=1)
-    actions = actions_of(native.action_space, steps)
+    actions = sample_actions(native.action_space, steps)
     contestants = {
         "native": run(native, actions),
-        "bare": Repeated(native, actions).alone(0),
+        "bare": EngineSteps(native, actions).repeat(0),
         "1 thread": run(single, actions),
     }
     peers: list[Any] = []
@@ -103,10 +102,10 @@ def vector(mode: str, count: int, steps: int, repeats: int) -> dict[str, Any]:
 
 
 def single(mode: str, steps: int, repeats: int) -> dict[str, Any]:
-    """`gymnasium.make` against a bare loop over `mj_step`, and one that heats the springs as well."""
+    """Compare `gymnasium.make` with a loop over `mj_step`, and with one that also heats the springs."""
     env: Any = gymnasium.make(IDS[mode])
-    actions = actions_of(env.action_space, steps)
-    repeated = Repeated(env, actions)
+    actions = sample_actions(env.action_space, steps)
+    repeated = EngineSteps(env, actions)
     model = repeated.calls.models[0]
     controls = [
         np.concatenate([call["control"][0] for _, call in repeated.calls.calls[first:last]])
@@ -116,7 +115,7 @@ def single(mode: str, steps: int, repeats: int) -> dict[str, Any]:
         {
             "ours": run(env, actions),
             "bare": lambda: _steps(model, controls),
-            "batch": repeated.alone(1),
+            "batch": repeated.repeat(1),
             "plain": lambda: _plain(env.unwrapped.crawl.physics, model, controls),
         },
         steps,
@@ -143,7 +142,7 @@ def _steps(model: mujoco.MjModel, controls: list[Array]) -> Callable[[int], None
 
 
 def _plain(physics: Physics, model: mujoco.MjModel, controls: list[Array]) -> Callable[[int], None]:
-    """What one would write first: heat the springs, set the controls, step. No task around it."""
+    """Make a simple loop that heats the springs, sets the controls and steps, without the task."""
     data = mujoco.MjData(model)
     state = SmaState.cold(physics.spring, (physics.num_springs,))
     power = np.random.default_rng(SEED).integers(0, 2, (1, physics.num_springs)).astype(float)
@@ -161,9 +160,9 @@ def _plain(physics: Physics, model: mujoco.MjModel, controls: list[Array]) -> Ca
 
 
 def ant(steps: int, repeats: int) -> dict[str, Any]:
-    """Gymnasium's own Ant-v5 against the bare loop that it makes."""
+    """Compare Gymnasium's Ant-v5 with the same steps in a bare loop."""
     env: Any = gymnasium.make("Ant-v5")
-    actions = actions_of(env.action_space, steps)
+    actions = sample_actions(env.action_space, steps)
     model, skip = env.unwrapped.model, env.unwrapped.frame_skip
 
     def bare() -> Callable[[int], None]:
@@ -193,7 +192,7 @@ def ant(steps: int, repeats: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Both tables."""
+    """Print both tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--envs", default="1,8,64,256,1024", help="sizes of the vector environments")

@@ -1,4 +1,4 @@
-"""What the benchmarks share: contestants timed in turns, ratios within a round, one line of JSON."""
+"""Shared by the benchmarks: timing contestants in turns, statistics, tables and JSON."""
 
 from __future__ import annotations
 
@@ -19,17 +19,16 @@ from caterpillar_env.machine import cores, processor
 
 
 def timed(work: Callable[[], Any]) -> float:
-    """Wall time of `work()`, s."""
+    """Return the wall time of `work()`, s."""
     started = time.perf_counter()
     work()
     return time.perf_counter() - started
 
 
 def rounds(contestants: Mapping[str, Callable[[], float]], repeats: int) -> dict[str, Array]:
-    """The cost that each contestant returns, once a round, shape (repeats,).
+    """Return the cost of each contestant in each round, shape (repeats,).
 
-    Every round runs all of them one after the other and the next one backwards, so that a slow spell of
-    the machine, or the heat of the one before, falls on all alike.
+    Rounds alternate in order, so that slow phases of the machine affect all contestants alike.
     """
     costs: dict[str, list[float]] = {name: [] for name in contestants}
     for number in range(repeats):
@@ -44,15 +43,15 @@ def rounds(contestants: Mapping[str, Callable[[], float]], repeats: int) -> dict
 def turns(
     contestants: Mapping[str, Callable[[], Callable[[int], Any]]], steps: int, repeats: int
 ) -> dict[str, Array]:
-    """Seconds per step of contestants that take turns step by step, once a repeat, shape (repeats,).
+    """Return seconds per step of contestants that take turns step by step, shape (repeats,).
 
-    Where all make the same steps, this is fairer than rounds: a slow spell of the machine, and a step
-    that is dear, falls on all of them alike.
+    If all make the same steps this is fairer than rounds: slow phases of the machine and expensive
+    steps affect all alike.
 
     Args:
-        contestants: each begins anew when called, and returns what makes its step number i.
-        steps: how many steps.
-        repeats: how many times.
+        contestants: each starts again when called, and returns a function that makes step i.
+        steps: number of steps.
+        repeats: number of repetitions.
     """
     costs: dict[str, list[float]] = {name: [] for name in contestants}
     for _ in range(repeats):
@@ -70,12 +69,12 @@ def turns(
 
 
 def spread(values: Array) -> dict[str, float]:
-    """Median, least and greatest."""
+    """Return median, minimum and maximum."""
     return {"median": float(np.median(values)), "min": float(values.min()), "max": float(values.max())}
 
 
 def machine() -> dict[str, Any]:
-    """Where the figures come from."""
+    """Return the processor and the versions of the packages."""
     packages = ("mujoco", "gymnasium", "numpy")
     return {
         "processor": processor(),
@@ -86,7 +85,7 @@ def machine() -> dict[str, Any]:
 
 
 def report(name: str, rows: list[dict[str, Any]], **more: Any) -> None:
-    """A table for people, then the same as a line of JSON on standard output."""
+    """Print a table to standard error, and the same as a line of JSON to standard output."""
     columns = list(dict.fromkeys(key for row in rows for key in row))
     table = Table(title=name, title_justify="left")
     for column in columns:

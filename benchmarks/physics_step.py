@@ -1,4 +1,4 @@
-"""What a physics step costs, by part and by setting, one thread: `python -m benchmarks.physics_step`."""
+"""Cost of a physics step by part and setting, one thread: `python -m benchmarks.physics_step`."""
 
 from __future__ import annotations
 
@@ -11,39 +11,33 @@ from typing import Any
 import mujoco
 
 from benchmarks.harness import report, rounds, spread, timed
-from caterpillar_env.physics import SMA_STEP_S, Physics
+from caterpillar_env.physics import Physics
 from caterpillar_env.task import Crawl
-from caterpillar_env.validation.recorder import EngineCalls, recorded
-from caterpillar_env.validation.robots import evolved_robots, together
+from caterpillar_env.validation.convergence import SETTINGS
+from caterpillar_env.validation.recorder import EngineCalls, record_calls
+from caterpillar_env.validation.robots import evolved_robots, stack_power
 
-SECONDS = 5.0
-SETTINGS: dict[str, dict[str, Any]] = {
-    "as it is": {},
-    "CG": {"solver": "cg"},
-    "pyramidal cone": {"cone": "pyramidal"},
-    "tolerance 1e-6": {"solver_tolerance": 1e-6},
-    "tolerance 1e-10": {"solver_tolerance": 1e-10},
-    "implicitfast": {"integrator": "implicitfast"},
-    "timestep 5 ms": {"timestep_s": 0.005},
-    "timestep 10 ms": {"timestep_s": 0.01},
-}
+#: Settings of `convergence.SETTINGS` to compare.
+COMPARED = (
+    "CG", "pyramidal cone", "tolerance 1e-6", "tolerance 1e-10", "implicitfast", "timestep 5 ms",
+    "timestep 10 ms",
+)  # fmt: skip
 
 
-def recording(**changes: Any) -> EngineCalls:
-    """The engine's calls of one gait period."""
+def record_period(**changes: Any) -> EngineCalls:
+    """Record the engine's calls in one gait period of eight evolved robots."""
     physics = replace(Physics(), **changes)
-    bodies, timings = together(evolved_robots(8))
-    power = timings.mirrored().power(SMA_STEP_S)
+    bodies, power = stack_power(evolved_robots(8))
     crawl = Crawl(bodies, physics)
-    with recorded(crawl.simulation) as calls:
-        crawl.run(power[:, : round(SECONDS / SMA_STEP_S)])
+    with record_calls(crawl.simulation) as calls:
+        crawl.run(power)
     return calls
 
 
 def cost(
     calls: EngineCalls, edit: Callable[[mujoco.MjModel], None] | None = None
 ) -> Callable[[], float]:
-    """Seconds per step, the models edited first."""
+    """Return a function that times a step, s, after editing the models."""
     if edit is not None:
         calls = copy.copy(calls)
         calls.models = [copy.copy(model) for model in calls.models]
@@ -51,14 +45,14 @@ def cost(
             edit(model)
 
     def run() -> float:
-        batch = calls.batch(threads=1)
+        batch = calls.make_batch(threads=1)
         return timed(lambda: calls.repeat(batch)) / calls.steps
 
     return run
 
 
-def untrimmed(model: mujoco.MjModel) -> None:
-    """The springs' Jacobians as MuJoCo builds them, with a column for every joint up to the root."""
+def undo_trimming(model: mujoco.MjModel) -> None:
+    """Restore MuJoCo's own Jacobians of springs, with a column for every joint up to the root."""
     for tendon in range(model.ntendon):
         first = model.tendon_adr[tendon]
         last = int(model.site_bodyid[model.wrap_objid[first : first + 2]].max())
@@ -69,7 +63,7 @@ def untrimmed(model: mujoco.MjModel) -> None:
 
 
 def disable(*flags: str) -> Callable[[mujoco.MjModel], None]:
-    """Switch off parts of the engine."""
+    """Return an edit that switches off parts of the engine."""
 
     def edit(model: mujoco.MjModel) -> None:
         for flag in flags:
@@ -79,7 +73,7 @@ def disable(*flags: str) -> Callable[[mujoco.MjModel], None]:
 
 
 def enable(*flags: str) -> Callable[[mujoco.MjModel], None]:
-    """Switch on parts of the engine that are off."""
+    """Return an edit that switches on parts of the engine."""
 
     def edit(model: mujoco.MjModel) -> None:
         for flag in flags:
@@ -88,23 +82,24 @@ def enable(*flags: str) -> Callable[[mujoco.MjModel], None]:
     return edit
 
 
-def first_version(model: mujoco.MjModel) -> None:
-    """All savings of the engine's step undone, but for the solver."""
-    untrimmed(model)
+def undo_savings(model: mujoco.MjModel) -> None:
+    """Undo all savings of the engine's step except the solver."""
+    undo_trimming(model)
     enable("island", "midphase")(model)
 
 
 def main() -> None:
-    """One table: settings, then parts left out."""
+    """Print one table: settings, then parts left out."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=7)
     args = parser.parse_args()
-    as_it_is = recording()
-    contestants = {name: cost(recording(**changes)) for name, changes in SETTINGS.items()}
+    settings: dict[str, dict[str, Any]] = {"as it is": {}} | {name: SETTINGS[name] for name in COMPARED}
+    as_it_is = record_period()
+    contestants = {name: cost(record_period(**changes)) for name, changes in settings.items()}
     contestants |= {
         "islands and midphase on": cost(as_it_is, enable("island", "midphase")),
-        "springs' Jacobians not trimmed": cost(as_it_is, untrimmed),
-        "all three: CG, none of these savings": cost(recording(solver="cg"), first_version),
+        "springs' Jacobians not trimmed": cost(as_it_is, undo_trimming),
+        "all three: CG, none of these savings": cost(record_period(solver="cg"), undo_savings),
         "without contacts": cost(as_it_is, disable("contact")),
         "without contacts and joint limits": cost(as_it_is, disable("constraint")),
         "and without springs": cost(as_it_is, disable("constraint", "actuation")),

@@ -1,4 +1,4 @@
-"""Evaluating a population against the bare cost of the physics steps that it made.
+"""Cost of evaluating a population relative to that of its physics steps alone.
 
 python -m benchmarks.population            # about ten minutes on two cores
 python -m benchmarks.population --memory   # 100,000 evaluations, shortened to 0.1 s each
@@ -15,28 +15,28 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import report, rounds, spread, timed
-from caterpillar_env.physics import SMA_STEP_S, Physics
+from caterpillar_env.physics import Physics
 from caterpillar_env.robot import simulate
 from caterpillar_env.task import EPISODE_S, Crawl
-from caterpillar_env.validation.recorder import recorded
-from caterpillar_env.validation.robots import random_robots
+from caterpillar_env.validation.recorder import record_calls
+from caterpillar_env.validation.robots import random_robots, stack_power, stack_robots
 from evolution.genome import Encoding
 from evolution.run.evaluators import evaluate
 
 
 def evaluation(bodies: int, seconds: float, repeats: int) -> None:
-    """`fitness.simulate` and the bare steps, on one thread and on all."""
+    """Compare `robot.simulate` with the engine's steps alone, on one thread and on two."""
     physics = Physics()
-    robots, timings = random_robots(bodies, 0, physics)
-    crawl = Crawl(robots, physics)
-    power = timings.mirrored().power(SMA_STEP_S)
-    with recorded(crawl.simulation) as bare:
-        for _ in range(round(seconds / timings.period_s)):
+    robots = random_robots(bodies, 0, physics)
+    stacked, (_, power) = stack_robots(robots), stack_power(robots)
+    crawl = Crawl(stacked[0], physics)
+    with record_calls(crawl.simulation) as bare:
+        for _ in range(round(seconds / stacked[1].period_s)):
             crawl.run(power)
 
     def race(threads: int) -> tuple[float, float]:
-        """Seconds of ours and of the engine alone, which repeats every interval right after us."""
-        batch, intervals, engine_s = bare.batch(threads), 0, 0.0
+        """Return seconds of `simulate` and of the engine, which repeats each interval right after."""
+        batch, intervals, engine_s = bare.make_batch(threads), 0, 0.0
 
         def repeat(_: object) -> None:
             nonlocal intervals, engine_s
@@ -44,9 +44,7 @@ def evaluation(bodies: int, seconds: float, repeats: int) -> None:
             intervals += 1
 
         total_s = timed(
-            lambda: simulate(
-                robots, timings, physics, threads=threads, duration_s=seconds, on_interval=repeat
-            )
+            lambda: simulate(*stacked, physics, threads=threads, duration_s=seconds, on_interval=repeat)
         )
         return total_s - engine_s, engine_s
 
@@ -73,13 +71,13 @@ def evaluation(bodies: int, seconds: float, repeats: int) -> None:
 
 
 def sizes(counts: list[int], repeats: int) -> None:
-    """Cost per body over the size of the population, on all cores; every body is another one."""
+    """Compare the cost per body for populations of different sizes, on all cores."""
     physics = Physics()
     seconds = 2.0
 
     def population(count: int) -> Callable[[], float]:
-        bodies, timings = random_robots(count, 0, physics)
-        return lambda: timed(lambda: simulate(bodies, timings, physics, duration_s=seconds)) / count
+        stacked = stack_robots(random_robots(count, 0, physics))
+        return lambda: timed(lambda: simulate(*stacked, physics, duration_s=seconds)) / count
 
     costs = rounds({str(count): population(count) for count in counts}, repeats)
     report(
@@ -93,7 +91,7 @@ def sizes(counts: list[int], repeats: int) -> None:
 
 
 def memory(evaluations: int) -> None:
-    """Resident memory while many short evaluations are made, 200 at a time."""
+    """Measure resident memory during many short evaluations, 200 at a time."""
     physics = Physics()
     rng = np.random.default_rng(0)
     size = len(Encoding(physics).genes)
@@ -116,16 +114,12 @@ def _resident_mb() -> float:
 
 
 def main() -> None:
-    """All of it, or what the flags ask for."""
+    """Run the benchmarks selected by the flags."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--bodies", type=int, default=200)
     parser.add_argument("--seconds", type=float, default=EPISODE_S)
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument(
-        "--sizes",
-        default="16,64,256,1024,4096",
-        help="of populations; none if empty",
-    )
+    parser.add_argument("--sizes", default="16,64,256,1024,4096", help="of populations; none if empty")
     parser.add_argument("--memory", action="store_true", help="only the memory test")
     parser.add_argument("--evaluations", type=int, default=100_000, help="of the memory test")
     args = parser.parse_args()

@@ -1,4 +1,4 @@
-"""Import, `--help` and reset with a new body: `python -m benchmarks.startup`."""
+"""Time of imports, `--help` and reset with a new body: `python -m benchmarks.startup`."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from caterpillar_env.validation.robots import random_robots
 
 
 def process(*argv: str) -> Callable[[], float]:
-    """Seconds that a fresh interpreter takes."""
+    """Return a function that times a new Python process, s."""
     command = [sys.executable, *argv]
     return lambda: timed(lambda: subprocess.run(command, check=True, stdout=subprocess.DEVNULL))
 
 
 def resets(repeats: int, *, new_body: bool) -> Callable[[], float]:
-    """Seconds per reset of one robot, each with a body that it never had or with the one that it has."""
+    """Return a function that times a reset of one robot, s, with a new body or with the same one."""
     physics = Physics()
-    bodies, _ = random_robots(50 * repeats, 0, physics)
+    bodies = [robot.morphology for robot in random_robots(50 * repeats, 0, physics)]
     crawl = Crawl(bodies[:1], physics)
     waiting = iter(bodies)
 
@@ -36,7 +36,7 @@ def resets(repeats: int, *, new_body: bool) -> Callable[[], float]:
 
 
 def main() -> None:
-    """One table."""
+    """Print one table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=11)
     args = parser.parse_args()

@@ -1,8 +1,7 @@
-"""Evolve the robots that the validation is run on: `python -m benchmarks.validation_robots FOLDER`.
+"""Evolve the robots of the validation: `python -m benchmarks.validation_robots FOLDER`.
 
-A change of the physics calls for new ones. It takes half an hour on two cores, and resumes runs that it
-finds in FOLDER. Each robot is the best of a run of its own at the default physics: the genetic algorithm
-and CMA-ES, with and without the prior.
+Run this after a change of the physics. It takes half an hour on two cores, and resumes the runs that are
+in FOLDER. Each robot is the best of its own run: genetic algorithm or CMA-ES, with or without the prior.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ RUNS: tuple[RunConfig, ...] = tuple(
 
 
 def make(folder: Path, path: Path = FILE) -> None:
-    """Evolve the robots in run folders within `folder`; write them to `path`, ordered as `RUNS`."""
+    """Evolve a robot for each of `RUNS` in `folder` and write them to `path` in that order."""
     names = [f"{config.optimizer}-{config.prior}-{config.seed}" for config in RUNS]
     with ProcessPoolExecutor() as pool:
         robots = list(pool.map(_evolved, RUNS, [folder / name for name in names]))

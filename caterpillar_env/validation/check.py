@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Check(NamedTuple):
-    """What was expected, what came, and whether that is close enough."""
+    """An expected value, the computed one, and whether they agree within the tolerance."""
 
     name: str
     expected: str
@@ -15,25 +15,25 @@ class Check(NamedTuple):
     passed: bool
 
 
-def near(
+def check_near(
     name: str, expected: float, got: float, unit: str, *, rel: float = 0.0, abs_: float = 0.0
 ) -> Check:
-    """`got` within a relative or an absolute tolerance of `expected`."""
+    """Check that `got` is within a relative or an absolute tolerance of `expected`."""
     passed = abs(got - expected) <= max(rel * abs(expected), abs_)
     tolerance = f"{100 * rel:g} %" if rel else f"{abs_:g} {unit}"
     return Check(name, f"{expected:.5g} {unit}", f"{got:.5g} {unit}", tolerance, bool(passed))
 
 
-def at_most(name: str, limit: float, got: float, unit: str) -> Check:
-    """`got` not above `limit`."""
+def check_at_most(name: str, limit: float, got: float, unit: str) -> Check:
+    """Check that `got` is not above `limit`."""
     return Check(name, f"at most {limit:.4g} {unit}", f"{got:.4g} {unit}", "", bool(got <= limit))
 
 
-def at_least(name: str, limit: float, got: float, unit: str) -> Check:
-    """`got` not below `limit`."""
+def check_at_least(name: str, limit: float, got: float, unit: str) -> Check:
+    """Check that `got` is not below `limit`."""
     return Check(name, f"at least {limit:.4g} {unit}", f"{got:.4g} {unit}", "", bool(got >= limit))
 
 
-def same(name: str, expected: object, got: object) -> Check:
-    """`got` equal to `expected`."""
+def check_equal(name: str, expected: object, got: object) -> Check:
+    """Check that `got` equals `expected`."""
     return Check(name, str(expected), str(got), "exact", expected == got)

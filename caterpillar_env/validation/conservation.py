@@ -9,34 +9,27 @@ import numpy as np
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.model import build_model
-from caterpillar_env.physics import SMA_STEP_S, Physics
+from caterpillar_env.physics import Physics
 from caterpillar_env.task import EPISODE_S, Crawl
-from caterpillar_env.validation.check import Check, at_least, at_most
-from caterpillar_env.validation.mechanics import crawl_for
-from caterpillar_env.validation.robots import random_robots, wave_robots
+from caterpillar_env.validation.check import Check, check_at_least, check_at_most
+from caterpillar_env.validation.robots import crawl_for, random_robots, stack_power, wave_robots
 
 _TIMESTEPS_S = (0.005, 0.0025, 0.001)
 
 
-def checks(*, quick: bool) -> list[Check]:
-    """Drift on frictionless ground, and the energy of robots without power."""
-    return [*momentum(quick=quick), *passive_energy(quick=quick)]
-
-
 def drift_m(physics: Physics, count: int, duration_s: float) -> Array:
-    """Drift of the centres of mass of `count` wave robots on frictionless ground, (count,)."""
-    bodies, timings = wave_robots(count, 5, physics)
-    power = timings.mirrored().power(SMA_STEP_S)
+    """Return the drift of the centres of mass of `count` robots on frictionless ground, m, (count,)."""
     slippery = replace(physics, friction=0.0)
-    end = crawl_for(duration_s, bodies, power, slippery, stop_on_failure=False).progress()
+    robots = stack_power(wave_robots(count, 5, slippery))
+    end = crawl_for(duration_s, *robots, slippery, stop_on_failure=False).progress()
     return np.hypot(end.distance_m, end.lateral_m)
 
 
-def momentum(*, quick: bool) -> list[Check]:
-    """The drift falls in proportion to the timestep, and a fourth-order integrator has none.
+def check_momentum(*, quick: bool) -> list[Check]:
+    """Check that the drift is proportional to the timestep, and nearly zero for a fourth-order method.
 
-    Without friction no force is horizontal, so that the centre of mass must stay above one point. The
-    integrator is of first order in joint coordinates, and loses or gains a little momentum at each step.
+    Without friction no force is horizontal, so the centre of mass must stay above one point. The default
+    integrator is of first order in joint coordinates: each step changes the momentum a little.
     """
     count, duration_s = (6, 10.0) if quick else (12, EPISODE_S)
     drifts = [
@@ -50,19 +43,21 @@ def momentum(*, quick: bool) -> list[Check]:
         f"{1000 * d:.2g} mm at {1000 * t:g} ms" for d, t in zip(middle, _TIMESTEPS_S, strict=True)
     )
     return [
-        at_least(f"order of the drift in the timestep ({seen})", 0.7, float(order), ""),
-        at_most("drift without friction, Runge-Kutta at 0.5 ms: worst", 0.2, 1000 * exact.max(), "mm"),
+        check_at_least(f"order of the drift in the timestep ({seen})", 0.7, float(order), ""),
+        check_at_most(
+            "drift without friction, Runge-Kutta at 0.5 ms: worst", 0.2, 1000 * exact.max(), "mm"
+        ),
     ]
 
 
-def passive_energy(*, quick: bool) -> list[Check]:
-    """Bent robots that are let go without power lose energy all the way to rest.
+def check_energy(*, quick: bool) -> list[Check]:
+    """Check that bent robots released without power lose energy until they are at rest.
 
-    On the ground a landing robot gets back some of what it presses into the soft contacts.
+    On the ground a landing robot regains some of the energy stored in the soft contacts.
     """
     physics = Physics()
     count, duration_s = (6, 2.0) if quick else (20, 5.0)
-    bodies, _ = random_robots(count, 8, physics)
+    bodies = [robot.morphology for robot in random_robots(count, 8, physics)]
     rng = np.random.default_rng(8)
     no_ground = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_GRAVITY
     steps = round(duration_s / physics.timestep_s)
@@ -79,19 +74,19 @@ def passive_energy(*, quick: bool) -> list[Check]:
         in_space.append(_regained(_energy(model, crawl.simulation.qpos(0), physics, steps)))
     name = f"energy that {count} robots without power regain"
     return [
-        at_most(f"{name} in free space, share of what they lose", 1e-4, max(in_space), ""),
-        at_most(f"{name} on the soft ground, likewise", 0.1, max(on_ground), ""),
-        at_most("the same, beyond what they started with", 1e-6, max(risen), ""),
+        check_at_most(f"{name} in free space, share of what they lose", 1e-4, max(in_space), ""),
+        check_at_most(f"{name} on the soft ground, likewise", 0.1, max(on_ground), ""),
+        check_at_most("the same, beyond what they started with", 1e-6, max(risen), ""),
     ]
 
 
 def _regained(energy_j: Array) -> float:
-    """Largest rise of an energy, over its fall in all."""
+    """Return the largest rise of an energy over its total fall."""
     return float((energy_j - np.minimum.accumulate(energy_j)).max() / (energy_j[0] - energy_j[-1]))
 
 
 def _energy(model: mujoco.MjModel, qpos: Array, physics: Physics, steps: int) -> Array:
-    """Kinetic, gravitational and elastic energy at the start of every step, J, (steps,)."""
+    """Return kinetic, gravitational and elastic energy at the start of every step, J, (steps,)."""
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     data = mujoco.MjData(model)
     data.qpos[:] = qpos

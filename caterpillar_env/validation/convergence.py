@@ -1,12 +1,11 @@
-"""Does a finer timestep tell the same story? The default numerics against two references of 0.25 ms.
+"""Default numerics against two references with a timestep of 0.25 ms.
 
-One has the default integrator, the other, independent one Runge and Kutta's of fourth order.
+One reference has the default integrator, the independent one a fourth-order Runge-Kutta method.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,22 +16,23 @@ from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.gait import GaitTimings
-from caterpillar_env.morphology import Body
-from caterpillar_env.physics import SMA_STEP_S, Physics
+from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes, simulate
 from caterpillar_env.task import EPISODE_S, Failure
-from caterpillar_env.validation.check import Check, at_least, at_most
-from caterpillar_env.validation.mechanics import crawl_for
-from caterpillar_env.validation.robots import evolved_robots, farthest_robots, random_robots, together
+from caterpillar_env.validation.check import Check, check_at_least, check_at_most
+from caterpillar_env.validation.robots import (
+    crawl_for,
+    evolved_robots,
+    farthest_robots,
+    random_robots,
+    stack_power,
+    stack_robots,
+)
 
 SPREAD = 10  #: evolved robots whose intrinsic spread is measured
-INDEPENDENT = 12  #: evolved robots that the independent reference takes on: it is ten times as dear
-
-
-def reference(physics: Physics, *, quick: bool) -> Physics:
-    """The same robot on a timestep of 0.25 ms (1 ms when quick)."""
-    return replace(physics, timestep_s=0.001 if quick else 0.00025)
+INDEPENDENT = (
+    12  #: evolved robots simulated with the independent reference, which takes ten times as long
+)
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,13 @@ class Comparison:
     default: Outcomes
     reference: Outcomes
     evolved: NDArray[np.bool_]  #: which of them are evolved, the others being random
-    spread_m: Array  #: of the first `SPREAD` evolved ones at the reference, after a change of 1 um
+    spread_m: (
+        Array  #: change of the distance of the first `SPREAD` evolved ones at the reference, after 1 um
+    )
     independent: Outcomes | None = None  #: the first evolved ones with the Runge-Kutta integrator
 
     def agreement(self, evolved: bool) -> float:
-        """Share of the robots whose verdict (failed or not) is the same."""
+        """Return the share of robots that fail in both or in neither."""
         who = self.evolved == evolved
         failed = [o.failure[who] != Failure.NONE for o in (self.default, self.reference)]
         return float((failed[0] == failed[1]).mean())
@@ -54,19 +56,18 @@ class Comparison:
     @property
     def healthy(self) -> NDArray[np.bool_]:
         """Robots that fail in neither."""
-        sound: NDArray[np.bool_] = (self.default.failure == Failure.NONE) & (
-            self.reference.failure == Failure.NONE
-        )
-        return sound
+        failures = self.default.failure | self.reference.failure
+        healthy: NDArray[np.bool_] = failures == Failure.NONE
+        return healthy
 
     def errors(self) -> Array:
-        """Relative errors of the distances of healthy evolved robots."""
+        """Return the relative errors of the distances of healthy evolved robots."""
         who = self.healthy & self.evolved
         fine = self.reference.distance_m[who]
         return np.abs(self.default.distance_m[who] - fine) / np.abs(fine)
 
     def independent_errors(self) -> Array:
-        """Relative errors of the distances against the independent reference."""
+        """Return the relative errors of the distances against the independent reference."""
         assert self.independent is not None
         exact = self.independent.distance_m
         ours = self.default.distance_m[self.evolved][: len(exact)]
@@ -75,60 +76,48 @@ class Comparison:
         return errors
 
     def rank_correlation(self) -> float:
-        """Spearman's, over healthy robots of both kinds."""
+        """Return Spearman's coefficient over healthy robots of both kinds."""
         who = self.healthy
         pair = (self.default.distance_m[who], self.reference.distance_m[who])
         return float(spearmanr(*pair).statistic)
 
 
 def compare(*, quick: bool) -> Comparison:
-    """Run random and evolved robots at both timesteps."""
-    physics = Physics()
-    fine = reference(physics, quick=quick)
+    """Simulate random and evolved robots with the default numerics and the references."""
+    physics, duration_s = Physics(), 10.0 if quick else EPISODE_S
+    fine = replace(physics, timestep_s=0.001 if quick else 0.00025)
+    exact = replace(fine, integrator="rk4", timestep_s=0.0005 if quick else 0.00025)
     evolved = farthest_robots(8) if quick else evolved_robots()
-    bodies, timings = _joined(random_robots(32 if quick else 100, 3, physics), together(evolved))
-    duration_s = 10.0 if quick else EPISODE_S
-    coarse_run = simulate(bodies, timings, physics, duration_s=duration_s)
-    fine_run = simulate(bodies, timings, fine, duration_s=duration_s)
-    best, gaits = together(evolved[:SPREAD])
-    nudged = crawl_for(
-        duration_s, best, gaits.mirrored().power(SMA_STEP_S), fine, offset_m=1e-6
-    ).progress()
-    runge_kutta = replace(fine, integrator="rk4", timestep_s=0.0005 if quick else 0.00025)
-    few = together(evolved[: 4 if quick else INDEPENDENT])
-    independent = simulate(*few, runge_kutta, duration_s=duration_s)
-    is_evolved = np.arange(len(bodies)) >= len(bodies) - len(evolved)
+    robots = [*random_robots(32 if quick else 100, 3, physics), *evolved]
+    is_evolved = np.arange(len(robots)) >= len(robots) - len(evolved)
+    coarse_run, fine_run = (
+        simulate(*stack_robots(robots), p, duration_s=duration_s) for p in (physics, fine)
+    )
+    nudged = crawl_for(duration_s, *stack_power(evolved[:SPREAD]), fine, offset_m=1e-6).progress()
+    few = stack_robots(evolved[: 4 if quick else INDEPENDENT])
     return Comparison(
         coarse_run,
         fine_run,
         is_evolved,
-        np.abs(nudged.distance_m - fine_run.distance_m[is_evolved][: len(best)]),
-        independent,
+        np.abs(nudged.distance_m - fine_run.distance_m[is_evolved][:SPREAD]),
+        simulate(*few, exact, duration_s=duration_s),
     )
 
 
-def _joined(
-    first: tuple[Sequence[Body], GaitTimings], second: tuple[Sequence[Body], GaitTimings]
-) -> tuple[list[Body], GaitTimings]:
-    (bodies, a), (more, b) = first, second
-    on, off = np.concatenate([a.on_s, b.on_s]), np.concatenate([a.off_s, b.off_s])
-    return [*bodies, *more], GaitTimings(a.period_s, on, off)
-
-
-def checks(result: Comparison) -> list[Check]:
-    """The figures that the choice of numerics must keep."""
+def check_timestep(result: Comparison) -> list[Check]:
+    """Check agreement, rank correlation and errors of the distances."""
     errors = result.errors()
     fine = np.abs(result.reference.distance_m[result.evolved][: len(result.spread_m)])
     spread = float(np.median(result.spread_m / fine))
     return [
-        at_least("failure verdicts that agree, random robots", 0.95, result.agreement(False), ""),
-        at_least("failure verdicts that agree, evolved robots", 0.95, result.agreement(True), ""),
-        at_least("rank correlation of distances, all robots", 0.95, result.rank_correlation(), ""),
-        at_most(
+        check_at_least("failure verdicts that agree, random robots", 0.95, result.agreement(False), ""),
+        check_at_least("failure verdicts that agree, evolved robots", 0.95, result.agreement(True), ""),
+        check_at_least("rank correlation of distances, all robots", 0.95, result.rank_correlation(), ""),
+        check_at_most(
             f"median relative error of evolved distances (a 1 um nudge makes {spread:.4f})",
             0.05, float(np.median(errors)), "",
         ),
-        at_most(
+        check_at_most(
             "the same against the Runge-Kutta integrator",
             0.05, float(np.median(result.independent_errors())), "",
         ),
@@ -136,7 +125,7 @@ def checks(result: Comparison) -> list[Check]:
 
 
 def plot(result: Comparison, path: Path) -> None:
-    """Distances at the default over the reference, and errors beside the intrinsic spread."""
+    """Plot distances at the default over the reference, and errors beside the intrinsic spread."""
     figure = Figure(figsize=(10, 4.5), layout="constrained")
     left, right = figure.subplots(1, 2)
     fine, coarse = 1000 * result.reference.distance_m, 1000 * result.default.distance_m
@@ -161,7 +150,7 @@ def plot(result: Comparison, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-#: What was weighed against one another; every variant is judged against its own reference.
+#: Numerical settings to compare; each against a reference of its own.
 SETTINGS: dict[str, dict[str, Any]] = {
     "default": {},
     "timestep 10 ms": {"timestep_s": 0.01},
@@ -186,28 +175,26 @@ SETTINGS: dict[str, dict[str, Any]] = {
 _NUMERICAL = ("timestep_s", "solver", "integrator", "solver_tolerance")
 
 
-def settings_table(count: int = 16, duration_s: float = EPISODE_S) -> list[dict[str, float | str]]:
-    """Accuracy against cost of each of `SETTINGS`, on the `count` best evolved robots.
+def compare_settings(count: int = 16, duration_s: float = EPISODE_S) -> list[dict[str, float | str]]:
+    """Compare accuracy and cost of `SETTINGS` on the first `count` evolved robots.
 
     Returns:
         A row per setting: cost in microseconds per simulated millisecond and robot (one thread), median
-        relative error, rank correlation and agreement of verdicts against 0.5 ms.
+        relative error, rank correlation and agreement of failures against a timestep of 0.5 ms.
     """
-    bodies, timings = together(evolved_robots(count))
+    robots = stack_robots(evolved_robots(count))
     references: dict[str, Outcomes] = {}
     rows: list[dict[str, float | str]] = []
     for name, changes in SETTINGS.items():
-        physics = replace(Physics(), **changes)
-        body_changes = {k: v for k, v in changes.items() if k not in _NUMERICAL}
-        key = repr(body_changes)
+        physical = {k: v for k, v in changes.items() if k not in _NUMERICAL}
+        key = repr(physical)
         if key not in references:
-            fine = replace(Physics(), **body_changes, timestep_s=0.0005, solver_tolerance=1e-10)
-            references[key] = simulate(bodies, timings, fine, duration_s=duration_s)
+            fine = replace(Physics(), **physical, timestep_s=0.0005, solver_tolerance=1e-10)
+            references[key] = simulate(*robots, fine, duration_s=duration_s)
         started = time.perf_counter()
-        coarse = simulate(bodies, timings, physics, threads=1, duration_s=duration_s)
+        coarse = simulate(*robots, replace(Physics(), **changes), threads=1, duration_s=duration_s)
         wall_s = time.perf_counter() - started
-        nothing = np.ones(len(bodies), dtype=bool)
-        result = Comparison(coarse, references[key], nothing, np.zeros(len(bodies)))
+        result = Comparison(coarse, references[key], np.ones(count, dtype=bool), np.zeros(count))
         rows.append(
             {
                 "setting": name,

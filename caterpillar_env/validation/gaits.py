@@ -1,6 +1,6 @@
-"""How robots move: what tells a gait from a lunge, and what bears and stops them.
+"""Figures of gaits: speed, slip, load on the body, joint limits, cost of transport.
 
-The engine makes the very steps of the simulation once more, in a plain loop that reads every contact.
+The steps of the simulation are repeated in a plain loop that reads every contact.
 """
 
 from __future__ import annotations
@@ -17,41 +17,41 @@ from caterpillar_env.morphology import length_m, segments_of
 from caterpillar_env.physics import GRAVITY_M_S2, SMA_STEP_S
 from caterpillar_env.robot import Robot
 from caterpillar_env.task import EPISODE_S, Crawl
-from caterpillar_env.validation.check import Check, at_most
-from caterpillar_env.validation.recorder import recorded
+from caterpillar_env.validation.check import Check, check_at_most
+from caterpillar_env.validation.recorder import record_calls
 
 
 class Gait(NamedTuple):
-    """How one robot moves in an episode. Shares are of 1."""
+    """Figures of the gait of one robot in an episode."""
 
     distance_m: float  #: along the starting heading
-    best_tenth: float  #: share of the distance made in the best tenth of the gait period
+    best_tenth: float  #: share of the distance covered in the best tenth of the gait period
     peak_speed_m_s: float  #: of the centre of mass, over 10 ms
-    slip: float  #: path that the feet slide, weighted by their load, over the distance
+    slip: float  #: sliding path of the feet, weighted by load, over the distance
     body_load: float  #: share of the load on the body
     overrun: float  #: largest travel of a joint beyond its limit, over the limit
     cost_of_transport: float  #: electrical energy over weight times distance
     body_lengths_s: float  #: distance over body length and time, 1/s
 
 
-def measure(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
-    """Let a robot crawl and measure its gait.
+def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
+    """Simulate a robot and measure its gait.
 
     Args:
         robot: body, gait and physics.
-        duration_s: how long at most; it crawls for whole gait periods, and for one at least.
+        duration_s: maximum duration; rounded down to whole gait periods, at least one.
     """
     physics, period_s = robot.physics, robot.timings.period_s
     periods = max(1, int(duration_s / period_s + 1e-9))
     crawl = Crawl([robot.morphology], physics, threads=1, stop_on_failure=False)
     power = robot.timings.of_springs(physics.num_springs).power(SMA_STEP_S)[None]
-    with recorded(crawl.simulation) as calls:
+    with record_calls(crawl.simulation) as calls:
         for _ in range(periods):
             crawl.run(power)
     end = crawl.progress()
     path = _replay(calls.models[0], np.concatenate([call["control"][0] for _, call in calls.calls]))
     if not np.array_equal(path.qpos, crawl.simulation.qpos(0)):
-        raise AssertionError("the plain loop took other steps than the simulation: please report this")
+        raise AssertionError("the plain loop deviates from the simulation; please report this")
 
     per_step = round(SMA_STEP_S / physics.timestep_s)
     com = path.com_m[::per_step]  # every thermal step
@@ -77,14 +77,14 @@ def measure(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
 
 class _Path(NamedTuple):
     qpos: Array  #: at the end
-    com_m: Array  #: centre of mass before every step, and before the last once more, (K + 1, 3)
+    com_m: Array  #: centre of mass before each step and after the last, (K + 1, 3)
     slip_m: float
     body_load: float
     overrun: float
 
 
 def _replay(model: mujoco.MjModel, control: Array) -> _Path:
-    """Step `model` from the start with `control`, (K, springs)."""
+    """Step `model` from the start with `control` (K, springs)."""
     data = mujoco.MjData(model)
     is_skin = model.geom_conaffinity == SKIN
     limits = model.jnt_range[1:, 1]
@@ -112,17 +112,17 @@ def _replay(model: mujoco.MjModel, control: Array) -> _Path:
     return _Path(data.qpos.copy(), com_m, slip_m, float(skin_n / all_n), max(overrun, 0.0))
 
 
-def measured(robots: Sequence[Robot], *, quick: bool) -> list[Gait]:
-    """The gaits of robots; in a third of the time if `quick`."""
-    return [measure(robot, EPISODE_S / 3 if quick else EPISODE_S) for robot in robots]
+def measure_gaits(robots: Sequence[Robot], *, quick: bool) -> list[Gait]:
+    """Measure the gaits of robots, over a third of an episode if `quick`."""
+    return [measure_gait(robot, EPISODE_S / 3 if quick else EPISODE_S) for robot in robots]
 
 
-def checks(gaits: Sequence[Gait]) -> list[Check]:
-    """Stops stop, and legs carry."""
+def check_gaits(gaits: Sequence[Gait]) -> list[Check]:
+    """Check that joints stay within their limits and that the legs carry the robot."""
     overruns, loads = [g.overrun for g in gaits], [g.body_load for g in gaits]
     name = "largest overrun of a joint over its limit"
     return [
-        at_most(f"{name}: median", 0.05, float(np.median(overruns)), ""),
-        at_most(f"{name}: worst robot", 0.15, max(overruns), ""),
-        at_most("share of the load on the body: mean", 0.05, float(np.mean(loads)), ""),
+        check_at_most(f"{name}: median", 0.05, float(np.median(overruns)), ""),
+        check_at_most(f"{name}: worst robot", 0.15, max(overruns), ""),
+        check_at_most("share of the load on the body: mean", 0.05, float(np.mean(loads)), ""),
     ]

@@ -1,6 +1,6 @@
-"""Trajectories kept as data, to see at once when a change touches the physics.
+"""Golden trajectories: stored results that reveal any change of the physics.
 
-`python -m caterpillar_env.validation.golden` records them anew, after a change that was meant.
+`python -m caterpillar_env.validation.golden` records them again after an intended change.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.robot import Robot
 from caterpillar_env.task import EPISODE_S, Crawl, label
 from caterpillar_env.validation.check import Check
-from caterpillar_env.validation.robots import evolved_robots, random_individuals
+from caterpillar_env.validation.robots import evolved_robots, random_robots
 
 FILE = Path(__file__).with_name("golden.json")
 SAMPLE_S = 3.0  #: time between two recorded points
 TOLERANCE_M = 1e-6
-_STEADY_M = 1e-8  #: what a nanometre's change of the start may do to a robot that is kept
+_STEADY_M = 1e-8  #: largest effect of a nanometre at the start on a recorded robot
 _KINDS = {"evolved": 4, "random": 2}
 
 ADVICE = (
-    "Golden trajectories belong to one version of the physics and of MuJoCo. If you changed the physics "
-    "on purpose, let the rest of `caterpillar validate` pass, record them anew with "
-    "`python -m caterpillar_env.validation.golden` and say so in CHANGELOG.md. If MuJoCo changed, do so "
-    "too; if neither did, find out what moved the robots before anything else."
+    "Golden trajectories belong to one version of the physics and of MuJoCo. If you changed either on "
+    "purpose and all other checks of `caterpillar validate` pass, record them again with "
+    "`python -m caterpillar_env.validation.golden` and say so in CHANGELOG.md. Otherwise find the cause "
+    "of the difference first."
 )
 
 
-def here() -> str:
-    """What trajectories depend on besides this package: MuJoCo's version and the machine's kind."""
+def describe_platform() -> str:
+    """Return what trajectories also depend on: MuJoCo's version and the kind of machine."""
     return f"MuJoCo {mujoco.__version__} on {platform.machine()}"
 
 
-def trajectory(robot: Robot, offset_m: float = 0.0) -> tuple[Array, str]:
-    """Centre of mass every `SAMPLE_S` of an episode, (10, 3), and the verdict.
+def compute_trajectory(robot: Robot, offset_m: float = 0.0) -> tuple[Array, str]:
+    """Return the centre of mass every `SAMPLE_S` of an episode, m, (10, 3), and the failure.
 
     `offset_m` displaces every internal joint at the start.
     """
@@ -59,39 +59,36 @@ def trajectory(robot: Robot, offset_m: float = 0.0) -> tuple[Array, str]:
 
 
 def record(path: Path = FILE) -> None:
-    """Write `path`: the first few robots of each kind that are not sensitive to rounding."""
-    kept: list[dict[str, Any]] = []
-    drawn = random_individuals(50, 11, Physics())
-    for kind, robots in (("evolved", evolved_robots()), ("random", drawn)):
+    """Write the trajectories of the first robots of each kind that rounding errors do not affect."""
+    entries: list[dict[str, Any]] = []
+    for kind, robots in (("evolved", evolved_robots()), ("random", random_robots(50, 11, Physics()))):
+        count = 0
         for index, robot in enumerate(robots):
-            points, verdict = trajectory(robot)
-            if np.abs(trajectory(robot, 1e-9)[0] - points).max() < _STEADY_M:
-                kept.append(
-                    {
-                        "name": f"{kind} {index}",
-                        "verdict": verdict,
-                        "com_m": points.tolist(),
-                        "robot": robot.to_dict(),
-                    }
+            points, verdict = compute_trajectory(robot)
+            if np.abs(compute_trajectory(robot, 1e-9)[0] - points).max() < _STEADY_M:
+                name, com_m = f"{kind} {index}", points.tolist()
+                entries.append(
+                    {"name": name, "verdict": verdict, "com_m": com_m, "robot": robot.to_dict()}
                 )
-            if sum(entry["name"].startswith(kind) for entry in kept) == _KINDS[kind]:
+                count += 1
+            if count == _KINDS[kind]:
                 break
-    data = {"recorded_with": here(), "sample_s": SAMPLE_S, "trajectories": kept}
+    data = {"recorded_with": describe_platform(), "sample_s": SAMPLE_S, "trajectories": entries}
     path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
-def checks(path: Path = FILE) -> list[Check]:
-    """Every recorded trajectory, simulated once more."""
+def check_trajectories(path: Path = FILE) -> list[Check]:
+    """Simulate the recorded robots again and compare."""
     data = json.loads(path.read_text("utf-8"))
     found = []
     for entry in data["trajectories"]:
-        points, verdict = trajectory(Robot.from_dict(entry["robot"]))
+        points, verdict = compute_trajectory(Robot.from_dict(entry["robot"]))
         off_m = float(np.abs(points - np.array(entry["com_m"])).max())
         found.append(
             Check(
                 f"trajectory of robot {entry['name']}",
                 f"{entry['verdict']}, as with {data['recorded_with']}",
-                f"{verdict}, off by {1000 * off_m:.3g} mm with {here()}",
+                f"{verdict}, off by {1000 * off_m:.3g} mm with {describe_platform()}",
                 f"{1000 * TOLERANCE_M:g} mm",
                 verdict == entry["verdict"] and off_m <= TOLERANCE_M,
             )

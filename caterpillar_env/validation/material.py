@@ -1,4 +1,4 @@
-"""The SMA model against closed forms and against Dynalloy's table."""
+"""SMA model against closed forms and Dynalloy's data sheet."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from scipy.optimize import brentq
 from caterpillar_env.arrays import Array
 from caterpillar_env.physics import GRAVITY_M_S2
 from caterpillar_env.sma import SmaSpring, SmaState, SmaStep, advance, spring_force
-from caterpillar_env.validation.check import Check, at_most, near
+from caterpillar_env.validation.check import Check, check_at_most, check_near
 
 _ONE = (1,)
 
 
-def closed_forms(*, quick: bool) -> list[Check]:
-    """Every closed form; `quick` makes no difference."""
+def check_closed_forms() -> list[Check]:
+    """Check heating, pulses, stroke, hysteresis and energy of one spring against closed forms."""
     return [
         *_first_order_heating(),
         _least_current(),
@@ -33,12 +33,12 @@ def closed_forms(*, quick: bool) -> list[Check]:
 
 
 def _run(spring: SmaSpring, power: Array, step_s: float, state: SmaState | None = None) -> SmaStep:
-    """One spring under a power history (K,)."""
+    """Simulate one spring under a power history (K,)."""
     return advance(spring, state or SmaState.cold(spring, _ONE), power[:, None], step_s)
 
 
 def _temperature(spring: SmaSpring, step: SmaStep) -> Array:
-    """After each step, degC, (K,)."""
+    """Return the temperature after each step, degC, (K,)."""
     return SmaState(step.enthalpy_j_kg, step.fraction).temperature_c(spring)[:, 0]
 
 
@@ -53,7 +53,9 @@ def _first_order_heating() -> list[Check]:
         got = _temperature(spring, _run(spring, np.ones(steps), 0.01))[-1]
         expected = spring.ambient_c + rise * -math.expm1(-steps * 0.01 / tau)
         checks.append(
-            near(f"heating without transformation, t = {taus:g} tau", expected, got, "degC", rel=1e-9)
+            check_near(
+                f"heating without transformation, t = {taus:g} tau", expected, got, "degC", rel=1e-9
+            )
         )
     return checks
 
@@ -71,7 +73,7 @@ def _least_current() -> Check:
         return float(reached) - spring.austenite_finish_c
 
     got = float(brentq(excess, 0.5 * expected, 1.5 * expected, xtol=1e-6))
-    return near("least current that completes the transformation", expected, got, "A", rel=1e-3)
+    return check_near("least current that completes the transformation", expected, got, "A", rel=1e-3)
 
 
 def _adiabatic_pulse() -> Check:
@@ -80,7 +82,7 @@ def _adiabatic_pulse() -> Check:
     expected = (sensible + spring.latent_heat_j_kg) / spring.heating_w_kg
     step = _run(spring, np.ones(2000), 5e-4)
     got = float((np.argmax(step.fraction[:, 0] >= 1.0) + 1) * 5e-4)
-    return near("adiabatic pulse, m' (c dT + L) / (I^2 R')", expected, got, "s", abs_=5e-4)
+    return check_near("adiabatic pulse, m' (c dT + L) / (I^2 R')", expected, got, "s", abs_=5e-4)
 
 
 def _isotonic_stroke() -> Check:
@@ -96,7 +98,7 @@ def _isotonic_stroke() -> Check:
     expected = load_n * (1 / s.martensite_stiffness_n_m - 1 / s.austenite_stiffness_n_m)
     expected += s.martensite_rest_length_m - s.austenite_rest_length_m
     got = length(0.0) - length(1.0)
-    return near("isotonic stroke under 0.15 N", 1000 * expected, 1000 * got, "mm", rel=1e-6)
+    return check_near("isotonic stroke under 0.15 N", 1000 * expected, 1000 * got, "mm", rel=1e-6)
 
 
 def _branch_midpoints() -> list[Check]:
@@ -108,16 +110,13 @@ def _branch_midpoints() -> list[Check]:
     middle_down = (spring.martensite_start_c + spring.martensite_finish_c) / 2
     checks = []
     for word, step, expected in (("heating", up, middle_up), ("cooling", down, middle_down)):
-        got = float(np.interp(0.5, *_sorted(step.fraction[:, 0], _temperature(spring, step))))
+        fraction = step.fraction[:, 0]
+        inside = np.flatnonzero((fraction > 0.01) & (fraction < 0.99))
+        rising = inside[np.argsort(fraction[inside])]
+        got = float(np.interp(0.5, fraction[rising], _temperature(spring, step)[rising]))
         name = f"temperature at half austenite on {word}"
-        checks.append(near(name, expected, got, "degC", abs_=0.01))
+        checks.append(check_near(name, expected, got, "degC", abs_=0.01))
     return checks
-
-
-def _sorted(x: Array, y: Array) -> tuple[Array, Array]:
-    inside = (x > 0.01) & (x < 0.99)
-    order = np.argsort(x[inside])
-    return x[inside][order], y[inside][order]
 
 
 def _partial_loops() -> list[Check]:
@@ -126,7 +125,7 @@ def _partial_loops() -> list[Check]:
     turn = int(np.argmax(up.fraction[:, 0] >= 0.6))
     state = SmaState(up.enthalpy_j_kg[turn], up.fraction[turn])
     peak_c, peak_xi = float(_temperature(spring, up)[turn]), float(up.fraction[turn, 0])
-    # Cool until the cooling branch has taken 0.2 of it back, then heat to where the loop began.
+    # Cool until the fraction has fallen by 0.2, then heat to the temperature where the loop began.
     down = _run(spring, np.zeros(6000), 1e-3, state)
     fell = int(np.argmax(down.fraction[:, 0] <= peak_xi - 0.2))
     frozen = _temperature(spring, down) > spring.martensite_start_c
@@ -135,13 +134,15 @@ def _partial_loops() -> list[Check]:
     back = float(np.interp(peak_c, _temperature(spring, again), again.fraction[:, 0]))
     drift = float(np.abs(down.fraction[frozen, 0] - peak_xi).max())
     return [
-        at_most("change of the fraction between reversal and Ms", 0.0, drift, ""),
-        near("fraction where a partial loop closes (return-point memory)", peak_xi, back, "", abs_=1e-3),
+        check_at_most("change of the fraction between reversal and Ms", 0.0, drift, ""),
+        check_near(
+            "fraction where a partial loop closes (return-point memory)", peak_xi, back, "", abs_=1e-3
+        ),
     ]
 
 
 def _energy_balance() -> Check:
-    """Supplied = stored + lost, the loss integrated here, on its own, from the temperatures."""
+    """Supplied = stored + lost, with the loss integrated from the temperatures."""
     spring = SmaSpring()
     rng = np.random.default_rng(0)
     step_s, steps = 0.01, 3000
@@ -154,7 +155,7 @@ def _energy_balance() -> Check:
     supplied = spring.heating_w_kg * step_s * step.power.sum(axis=0)
     stored = step.state.enthalpy_j_kg - spring.specific_heat_j_kg_k * spring.ambient_c
     worst = float(np.abs((stored + lost) / supplied - 1).max())
-    return at_most("energy balance of 20 random power histories, 30 s, relative", 0.005, worst, "")
+    return check_at_most("energy balance of 20 random power histories, 30 s, relative", 0.005, worst, "")
 
 
 class WireRow(NamedTuple):
@@ -162,7 +163,7 @@ class WireRow(NamedTuple):
 
     diameter_mm: float
     resistance_ohm_m: float
-    current_ma: float  #: that transforms it in 1 s
+    current_ma: float  #: that transforms the wire in 1 s
     cooling_lt_s: float
     cooling_ht_s: float
 
@@ -182,7 +183,7 @@ DYNALLOY = (
 def convection_w_m2_k(
     diameter_m: float, wire_c: float = 70.0, air_c: float = 25.0, emissivity: float = 0.8
 ) -> float:
-    """Free convection and radiation of a horizontal wire (Churchill and Chu 1975), W/(m2 K)."""
+    """Return free convection and radiation of a horizontal wire (Churchill and Chu 1975), W/(m2 K)."""
     film_k = (wire_c + air_c) / 2 + 273.15
     conductivity = 0.0241 * (film_k / 273.15) ** 0.9  # of air, W/(m K)
     viscosity = 1.327e-5 * (film_k / 273.15) ** 1.75  # kinematic, m2/s
@@ -196,7 +197,7 @@ def convection_w_m2_k(
 
 
 def straight_wire(row: WireRow, *, high_temperature: bool) -> SmaSpring:
-    """The wire of a row of the table, driven at its current, in still air of 25 degC."""
+    """Return the wire of a row of the table, driven at its current in still air of 25 degC."""
     d = row.diameter_mm / 1000
     branches = (88.0, 98.0, 72.0, 62.0) if high_temperature else (68.0, 78.0, 66.0, 56.0)
     names = ("austenite_start_c", "austenite_finish_c", "martensite_start_c", "martensite_finish_c")
@@ -212,7 +213,7 @@ def straight_wire(row: WireRow, *, high_temperature: bool) -> SmaSpring:
 
 
 def transformation_times_s(spring: SmaSpring) -> tuple[float, float]:
-    """Time to 90 % austenite from ambient, and from there (at Af, all austenite) to 10 %, s."""
+    """Return times from ambient to 90 % austenite, and from full austenite at Af to 10 %, s."""
     step_s = 0.005
     heating = _run(spring, np.ones(400), step_s)
     hot = SmaState.at(spring, np.array([spring.austenite_finish_c]), np.ones(1))
@@ -223,31 +224,26 @@ def transformation_times_s(spring: SmaSpring) -> tuple[float, float]:
     )
 
 
-def dynalloy(*, quick: bool) -> list[Check]:
-    """Heating and cooling times of high-temperature wire, the branch that nothing was fitted to."""
+def check_dynalloy() -> list[Check]:
+    """Check heating and cooling times of high-temperature wire, which the model was not fitted to."""
     checks = [
-        near(
+        check_near(
             "convection at 0.15 mm against the model's constant", SmaSpring().convection_w_m2_k,
             convection_w_m2_k(0.15e-3), "W/(m2 K)", rel=0.02,
         )
     ]  # fmt: skip
     for row in DYNALLOY:
         heating, cooling = transformation_times_s(straight_wire(row, high_temperature=True))
+        name = f"HT wire {row.diameter_mm:.2f} mm"
         checks += [
-            near(
-                f"HT wire {row.diameter_mm:.2f} mm at {row.current_ma:g} mA: heating",
-                1.0,
-                heating,
-                "s",
-                rel=0.25,
-            ),
-            near(f"HT wire {row.diameter_mm:.2f} mm: cooling", row.cooling_ht_s, cooling, "s", rel=0.25),
+            check_near(f"{name} at {row.current_ma:g} mA: heating", 1.0, heating, "s", rel=0.25),
+            check_near(f"{name}: cooling", row.cooling_ht_s, cooling, "s", rel=0.25),
         ]
     return checks
 
 
 def plot(path: Path) -> None:
-    """Ours over Dynalloy's, and the hysteresis loop of the default spring."""
+    """Plot times of model and data sheet, and the hysteresis loop of the default spring."""
     figure = Figure(figsize=(11, 4), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     diameters = [row.diameter_mm for row in DYNALLOY]

@@ -1,4 +1,4 @@
-"""Record what a simulation asks of the engine, and repeat it on a bare one."""
+"""Record the calls of a simulation to the engine, and repeat them on a bare engine."""
 
 from __future__ import annotations
 
@@ -14,40 +14,39 @@ from caterpillar_env.simulation import Simulation
 
 
 class EngineCalls:
-    """What a `Simulation` asks of the engine since its last reset, with its bodies and controls.
+    """Calls of a `Simulation` to its engine since its last reset.
 
-    Only the engine's work is repeated: no heating of springs, no judging, no observation.
+    Repeating them costs the engine's work only, without springs, failure checks and observations.
     """
 
     def __init__(self, simulation: Simulation) -> None:
         self.models = list(simulation.models)
-        self.calls: list[tuple[str, dict[str, Any]]] = []
+        self.calls: list[tuple[str, dict[str, Any]]] = []  #: names of methods and their arguments
 
     @property
     def steps(self) -> int:
-        """Physics steps in all, over rows."""
+        """Number of physics steps, summed over rows."""
         return sum(call["nstep"] * len(call["ids"]) for name, call in self.calls if name == "rollout")
 
-    def batch(self, threads: int) -> Batch:
-        """A fresh engine with the same bodies, at the start."""
+    def make_batch(self, threads: int) -> Batch:
+        """Return a new engine with the same bodies, at the start."""
         batch = Batch(self.models[0], len(self.models), threads)
         batch.set_models(self.models)
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         return batch
 
     def repeat(self, batch: Batch, first: int = 0, last: int | None = None) -> None:
-        """The calls from number `first` to before `last`, to an engine that has made those before."""
+        """Repeat calls number `first` to before `last` on an engine that has made those before."""
         for name, call in self.calls[first:last]:
             getattr(batch, name)(**call)
 
 
 @contextmanager
-def recorded(simulation: Simulation) -> Iterator[EngineCalls]:
-    """Record what `simulation`, just reset, asks of the engine within the block."""
-    recording = EngineCalls(simulation)
-    batch = simulation.engine
+def record_calls(simulation: Simulation) -> Iterator[EngineCalls]:
+    """Record the calls of a simulation, which has just been reset, within the block."""
+    recording, batch = EngineCalls(simulation), simulation.engine
 
-    class Listener:
+    class Recorder:
         def __getattr__(self, name: str) -> Any:
             return getattr(batch, name)
 
@@ -60,7 +59,7 @@ def recorded(simulation: Simulation) -> Iterator[EngineCalls]:
             recording.calls.append(("reset", {"ids": ids.copy(), "stage": stage}))
             batch.reset(ids, stage=stage)
 
-    simulation.engine = Listener()
+    simulation.engine = Recorder()
     try:
         yield recording
     finally:

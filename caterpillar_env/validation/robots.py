@@ -1,66 +1,99 @@
-"""The robots that the validation runs on: random ones, and evolved ones, kept as data.
+"""Robots for the validation: random ones, waves, and evolved ones that are stored as data.
 
-Evolution finds the faults of a simulator; random genomes do not. `python -m
-benchmarks.validation_robots` evolves new robots after a change of the physics.
+Evolution finds the faults of a simulator, which random genomes do not. After a change of the physics,
+`python -m benchmarks.validation_robots` evolves new robots.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
-from caterpillar_env.morphology import PARAMETERS, Body, Morphology
-from caterpillar_env.physics import Physics
+from caterpillar_env.model import joint_names
+from caterpillar_env.morphology import PARAMETERS, Body, Morphology, segments_of
+from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.robot import Robot
+from caterpillar_env.task import Crawl, Thresholds
 
 FILE = Path(__file__).with_name("evolved.json")
 
 
-def random_individuals(count: int, seed: int, physics: Physics) -> list[Robot]:
-    """Robots of uniformly random genomes, one by one."""
+def random_robots(count: int, seed: int, physics: Physics) -> list[Robot]:
+    """Return robots of uniformly random genomes."""
     size, times = len(PARAMETERS), physics.num_springs
     genomes = np.random.default_rng(seed).random((count, size + times))
     gaits = GaitTimings.from_action((2.0 * genomes[:, size:] - 1.0).astype(np.float32), GAIT_PERIOD_S)
-    return [
-        Robot(Morphology.from_unit(genome[:size]), GaitTimings(GAIT_PERIOD_S, on, off), physics)
-        for genome, on, off in zip(genomes, gaits.on_s, gaits.off_s, strict=True)
-    ]
+    bodies = [Morphology.from_unit(genome[:size]) for genome in genomes]
+    return _make_robots(bodies, gaits.on_s, gaits.off_s, physics)
 
 
-def random_robots(count: int, seed: int, physics: Physics) -> tuple[list[Body], GaitTimings]:
-    """Bodies and gaits of uniformly random genomes."""
-    return together(random_individuals(count, seed, physics))
-
-
-def wave_robots(count: int, seed: int, physics: Physics) -> tuple[list[Body], GaitTimings]:
-    """Robots that crawl without being evolved: random bodies, springs heated in a wave from the tail."""
+def wave_robots(count: int, seed: int, physics: Physics) -> list[Robot]:
+    """Return robots with random bodies that crawl: their springs are heated in a wave from the tail."""
     rng = np.random.default_rng(seed)
-    gaps, period_s = physics.num_segments - 1, GAIT_PERIOD_S
-    bodies: list[Body] = [Morphology.from_unit(rng.random(8)) for _ in range(count)]
+    gaps = physics.num_segments - 1
+    bodies = [Morphology.from_unit(rng.random(8)) for _ in range(count)]
     lag, offset = rng.uniform(-0.35, -0.15, (count, 1, 1)), rng.uniform(0.4, 0.6, (count, 1, 1))
     duty = rng.uniform(0.15, 0.25, (count, 1, 2))  # of the dorsal and the ventral pairs
     on = (lag * np.arange(gaps)[:, None] + offset * np.arange(2)) % 1.0
     off = (on + duty) % 1.0
-    return bodies, GaitTimings(
-        period_s, period_s * on.reshape(count, -1), period_s * off.reshape(count, -1)
-    )
+    on_s, off_s = (GAIT_PERIOD_S * share.reshape(count, -1) for share in (on, off))
+    return _make_robots(bodies, on_s, off_s, physics)
+
+
+def _make_robots(bodies: list[Morphology], on_s: Array, off_s: Array, physics: Physics) -> list[Robot]:
+    return [
+        Robot(body, GaitTimings(GAIT_PERIOD_S, on, off), physics)
+        for body, on, off in zip(bodies, on_s, off_s, strict=True)
+    ]
 
 
 def evolved_robots(count: int | None = None) -> list[Robot]:
-    """Evolved robots, one a run: those of the first seed first, then the second, ..."""
+    """Return the stored evolved robots, one a run: those of the first seed, then of the second, ..."""
     return [Robot.from_dict(data) for data in json.loads(FILE.read_text("utf-8"))[:count]]
 
 
 def farthest_robots(count: int) -> list[Robot]:
-    """The evolved robots that crawl farthest, in that order."""
+    """Return the evolved robots that crawl farthest, in that order."""
     return sorted(evolved_robots(), key=lambda r: -(r.fitness_m or 0.0))[:count]
 
 
-def together(robots: list[Robot]) -> tuple[list[Body], GaitTimings]:
-    """Bodies and gaits of robots that share one gait period, as `fitness.simulate` takes them."""
+def stack_robots(robots: Sequence[Robot]) -> tuple[list[Body], GaitTimings]:
+    """Return bodies and gaits of robots with the same gait period, as `robot.simulate` takes them."""
     on = np.stack([r.timings.on_s for r in robots])
     off = np.stack([r.timings.off_s for r in robots])
     return [r.morphology for r in robots], GaitTimings(robots[0].timings.period_s, on, off)
+
+
+def stack_power(robots: Sequence[Robot]) -> tuple[list[Body], Array]:
+    """Return bodies, and the power of a gait period as `Crawl.run` takes it, (R, steps, springs)."""
+    bodies, timings = stack_robots(robots)
+    return bodies, timings.of_springs(robots[0].physics.num_springs).power(SMA_STEP_S)
+
+
+def crawl_for(
+    duration_s: float, bodies: Sequence[Body], power: Array, physics: Physics, *,
+    heading_rad: float = 0.0, offset_m: float = 0.0, stop_on_failure: bool = True,
+    thresholds: Thresholds | None = None,
+) -> Crawl:  # fmt: skip
+    """Let robots crawl for `duration_s`, repeating a period of power (R, steps, springs).
+
+    `offset_m` displaces every joint at the start, to measure the effect of a tiny change: each axial
+    joint, and each hinge so that the centre of the element behind it moves as far.
+    """
+    crawl = Crawl(bodies, physics, thresholds=thresholds, stop_on_failure=stop_on_failure)
+    axial = np.array([n.startswith("axial") for n in joint_names(physics.num_segments)])
+    # A hinge is half-way between two elements, a quarter of a segment from either.
+    heads = [segments_of(body, physics.num_segments)[0] for body in bodies]
+    arms_m = np.array([head.segment_length_m / 4 for head in heads])[:, None]
+    offset = np.where(axial, offset_m, offset_m / arms_m)
+    crawl.reset(heading_rad=heading_rad, offset=offset)
+    left = round(duration_s / SMA_STEP_S)
+    while left > 0:
+        crawl.run(power[:, : min(left, power.shape[1])])
+        left -= power.shape[1]
+    return crawl

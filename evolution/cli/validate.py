@@ -21,8 +21,7 @@ from caterpillar_env.validation import (
     golden,
     material,
     mechanics,
-    perturbation,
-    sensitivity,
+    robustness,
 )  # fmt: skip
 from caterpillar_env.validation.check import Check
 from caterpillar_env.validation.gaits import Gait
@@ -48,15 +47,18 @@ class ValidateArgs:
 def groups(*, quick: bool) -> dict[str, Callable[[], list[Check]]]:
     """The checks by group, in the order of the table, but for those on the timestep."""
     return {
-        "SMA against closed forms": lambda: material.closed_forms(quick=quick),
-        "SMA against Dynalloy's table": lambda: material.dynalloy(quick=quick),
-        "mechanics": lambda: mechanics.statics(quick=quick),
-        "symmetries": lambda: mechanics.symmetries(quick=quick),
-        "rest": lambda: mechanics.rest(quick=quick),
-        "momentum and energy": lambda: conservation.checks(quick=quick),
-        "golden trajectories": golden.checks,
-        "failure detectors": lambda: mechanics.detectors(_robots(quick)),
-        "joint stops": lambda: sensitivity.stop_checks(_robots(quick)),
+        "SMA against closed forms": material.check_closed_forms,
+        "SMA against Dynalloy's table": material.check_dynalloy,
+        "mechanics": mechanics.check_statics,
+        "symmetries": lambda: mechanics.check_symmetries(quick=quick),
+        "rest": lambda: mechanics.check_rest(quick=quick),
+        "momentum and energy": lambda: [
+            *conservation.check_momentum(quick=quick),
+            *conservation.check_energy(quick=quick),
+        ],
+        "golden trajectories": golden.check_trajectories,
+        "failure detectors": lambda: mechanics.check_failures(_robots(quick)),
+        "joint stops": lambda: robustness.check_stops(_robots(quick)),
     }
 
 
@@ -77,29 +79,31 @@ def validate_command(argv: Sequence[str]) -> int:
         results[name] = run()
         console.print(f"{_passed(results[name])} ({time.monotonic() - started:.0f} s)")
     console.print("gaits of the evolved robots ... ", end="")
-    measured = gaits.measured(_robots(args.quick), quick=args.quick)
-    results["gaits of the evolved robots"] = gaits.checks(measured)
+    measured = gaits.measure_gaits(_robots(args.quick), quick=args.quick)
+    results["gaits of the evolved robots"] = gaits.check_gaits(measured)
     console.print(_passed(results["gaits of the evolved robots"]))
     console.print("timestep, most of the work ... ", end="")
     started = time.monotonic()
     compared = convergence.compare(quick=args.quick)
-    results["timestep"] = convergence.checks(compared)
+    results["timestep"] = convergence.check_timestep(compared)
     console.print(f"{_passed(results['timestep'])} ({time.monotonic() - started:.0f} s)")
     console.print("plots ...")
     material.plot(args.out / "sma.png")
     convergence.plot(compared, args.out / "timestep.png")
     if not args.quick:
-        sensitivity.plot(*sensitivity.sweep(farthest_robots(5)), args.out / "sensitivity.png")
-        ratios = perturbation.sweep(farthest_robots(10))
+        robustness.plot_parameters(
+            *robustness.vary_parameters(farthest_robots(5)), args.out / "sensitivity.png"
+        )
+        ratios = robustness.vary_genes(farthest_robots(10))
         titles = [gene.title for gene in Encoding().genes]
-        perturbation.plot(ratios, titles, args.out / "perturbation.png")
+        robustness.plot_genes(ratios, titles, args.out / "perturbation.png")
     data = {group: [check._asdict() for check in found] for group, found in results.items()}
     write_json(args.out / "validation.json", data)
     write_json(args.out / "gaits.json", [gait._asdict() for gait in measured])
     tables = [_table(results), _gaits(measured)]
     if args.settings:
         console.print("settings ...")
-        rows = convergence.settings_table()
+        rows = convergence.compare_settings()
         write_json(args.out / "settings.json", rows)
         tables.append(_settings(rows))
     if args.json:

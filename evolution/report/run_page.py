@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from caterpillar_env.drawing.video import is_video_of
 from caterpillar_env.task import EPISODE_S, Failure
-from caterpillar_env.validation.gaits import measure
+from caterpillar_env.validation.gaits import measure_gait
 from evolution.config import OPTIMIZERS, PRIORS, RunConfig
 from evolution.genome import Gene, gene_values
 from evolution.priors.preprocessor import GenePrior, paper_priors
@@ -109,7 +109,7 @@ def page(record: History, figures: Mapping[str, str]) -> str:
         unknown_ends=len(record.sessions) - len(known),
         episode_s=EPISODE_S,
         best=record.best_robot,
-        gait=None if record.best_robot is None else measure(record.best_robot),
+        gait=None if record.best_robot is None else measure_gait(record.best_robot),
         winner=record.best,
         figures=figures,
         video=video,

@@ -1,4 +1,4 @@
-"""Every benchmark runs and tells its result as a line of JSON; how fast is no matter here."""
+"""Every benchmark runs and prints its result as a line of JSON."""
 
 import json
 import subprocess
@@ -29,8 +29,8 @@ def test_script(arguments, tables):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    told = [json.loads(line) for line in done.stdout.splitlines()]
-    assert len(told) == tables
-    for table in told:
+    printed = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(printed) == tables
+    for table in printed:
         assert table["rows"]
         assert table["machine"]["mujoco"]

@@ -1,9 +1,10 @@
 from caterpillar_env.validation import mechanics
-
-
-def failed(checks):
-    return [check for check in checks if not check.passed]
+from caterpillar_env.validation.robots import evolved_robots
 
 
 def test_statics():
-    assert not failed(mechanics.statics(quick=True))
+    assert not [check for check in mechanics.check_statics() if not check.passed]
+
+
+def test_failures_are_distinguished_and_healthy_robots_do_not_fail():
+    assert not [check for check in mechanics.check_failures(evolved_robots(2)) if not check.passed]

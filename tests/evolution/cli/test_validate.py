@@ -5,7 +5,7 @@ import pytest
 
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.validation import convergence, gaits, golden
-from caterpillar_env.validation.check import at_most, same
+from caterpillar_env.validation.check import check_at_most, check_equal
 from evolution import cli
 from evolution.cli import validate
 
@@ -36,11 +36,11 @@ def canned(monkeypatch, *, weight_n, golden_passes):
     )  # fmt: skip
     monkeypatch.setattr(convergence, "compare", lambda *, quick: result)
     groups = {
-        "mechanics": lambda: [at_most("weight", 1.0, weight_n, "N")],
-        "golden trajectories": lambda: [same("path", True, golden_passes)],
+        "mechanics": lambda: [check_at_most("weight", 1.0, weight_n, "N")],
+        "golden trajectories": lambda: [check_equal("path", True, golden_passes)],
     }
     gait = gaits.Gait(0.1, 0.2, 0.1, 0.5, 0.0, 0.0, 1000.0, 0.03)
-    monkeypatch.setattr(gaits, "measured", lambda robots, *, quick: [gait])
+    monkeypatch.setattr(gaits, "measure_gaits", lambda robots, *, quick: [gait])
     monkeypatch.setattr(validate, "groups", lambda *, quick: groups)
 
 

@@ -10,13 +10,13 @@ from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import PARAMETERS, Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Robot
-from caterpillar_env.validation.robots import random_individuals
+from caterpillar_env.validation.robots import random_robots
 from evolution.viewer.fields import fields_of
 from evolution.viewer.session import nominal_robot
 
 ROBOTS = {
     "nominal": nominal_robot(),
-    "evolved": replace(random_individuals(1, 0, Physics())[0], fitness_m=0.1, generation=3),
+    "evolved": replace(random_robots(1, 0, Physics())[0], fitness_m=0.1, generation=3),
     "springs": Robot(
         Morphology(), GaitTimings(2.0, np.zeros(4), np.full(4, 1.2345)), Physics(num_segments=2)
     ),
