@@ -145,6 +145,17 @@ def test_diverged_robot_is_told_and_leaves_the_others(tmp_path, monkeypatch):
     assert robots.progress().distance_m[1] == healthy.progress().distance_m[1]
 
 
+def test_a_divergence_replaces_an_earlier_failure(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    robots = crawl(1, JUMP_AT_ONCE, stop_on_failure=False)
+    robots.run(off())
+    assert robots.failure.tolist() == [Failure.JUMPED]
+    robots.simulation.place(np.full((1, 18), np.nan), np.array([0]))
+    robots.run(off(1, 3))
+    assert robots.failure.tolist() == [Failure.DIVERGED]
+    assert robots.progress().time_s.tolist() == [0.2]  # it stops, whatever stop_on_failure says
+
+
 # Account
 
 

@@ -453,6 +453,14 @@ def test_a_run_can_be_made_longer_and_not_shorter(tmp_path):
         resume(tmp_path / "short", generations=3)
 
 
+def test_every_chunk_is_recorded_with_its_own_genomes(tmp_path, monkeypatch):
+    monkeypatch.setattr("evolution.run.loop.CHUNK", 2)
+    proposed = CONFIG.make_optimizer().ask()
+    evolve(replace(CONFIG, generations=1), tmp_path, evaluator=ONE)
+    recorded = [e.genome for e in load(tmp_path).evaluations]
+    assert np.array_equal(recorded, proposed)
+
+
 def test_generation_of_which_a_part_is_known_is_completed(tmp_path, monkeypatch):
     monkeypatch.setattr("evolution.run.loop.CHUNK", 2)
     whole = evolve(CONFIG, tmp_path / "whole", evaluator=ONE)
