@@ -16,7 +16,7 @@ from baselines.policy import TrainedRobot
 from baselines.records import RECORD, Record, best_of, evaluations
 from baselines.training import train
 from caterpillar_env.gait import GAIT_PERIOD_S
-from evolution.study.arms import ArmError, Standing
+from evolution.study.arms import ArmError
 
 
 @dataclass(frozen=True)
@@ -82,13 +82,6 @@ class TrainArm:
                 "remove it"
             )
         return True
-
-    def standing(self, folder: Path) -> Standing:
-        """See `evolution.study.arms.Arm`."""
-        points = evaluations(folder)
-        top = best_of(points)
-        best_m = 0.0 if top is None else max(top.distance_m, 0.0)
-        return Standing(points[-1].simulated_s if points else 0.0, best_m)
 
     def evaluations(self, folder: Path) -> polars.DataFrame:
         """See `evolution.study.arms.Arm`; genes are those of the body alone."""

@@ -16,7 +16,7 @@ from evolution import cli
 from evolution.cli.running import picture
 from evolution.run.journal import FILE as JOURNAL
 from evolution.study.config import SETTINGS, load
-from evolution.study.results import collect, thresholds, versions
+from evolution.study.results import collect, read_thresholds
 
 
 @dataclass(frozen=True)
@@ -49,29 +49,27 @@ def report_command(argv: Sequence[str]) -> int:
 
 
 def write_report(folder: Path, console: Console, *, look_again: bool) -> None:
-    """Write the report of a study, and print its answers."""
+    """Write the report of a study, and print its results."""
     from evolution.study import report
-    from evolution.study.analysis import analyse
-    from evolution.study.headline import headline
-    from evolution.study.winners import winners
+    from evolution.study.analysis import analyse, summarize
+    from evolution.study.winners import find_winners
 
     config = load(folder)
-    frame, missing = collect(config, folder)
-    if frame.is_empty():
+    results = collect(config, folder)
+    if results.table.is_empty():
         raise CaterpillarError(
-            f"no run of {folder} is finished yet; go on with caterpillar study, or see caterpillar runs "
-            f"{folder}"
+            f"no run of {folder} is finished yet; continue with caterpillar study, or see caterpillar "
+            f"runs {folder}"
         )
-    found = analyse(config, frame, missing, thresholds(config, folder, frame))
-    different = versions(config, folder)
-    if len(different) > 1:
+    analysis = analyse(config, results, read_thresholds(config, folder, results.table))
+    if results.environments > 1:
         console.print(
-            f"warning: runs were made under {len(different)} different sets of versions or machines "
-            "(table sessions of their journals): bits differ, and perhaps more",
+            f"warning: runs were made with {results.environments} different sets of package versions or "
+            "machines (see table sessions of their journals); their results may not be comparable",
         )
     if look_again:
-        console.print("looking at the best robots again ...")
-    best = winners(config, folder) if look_again else []
-    page = report.write(found, frame, best, folder)
-    print("\n".join(headline(found)))
+        console.print("simulating the best robots again ...")
+    winners = find_winners(analysis, folder) if look_again else []
+    page = report.write(analysis, results.table, winners, folder)
+    print("\n".join(summarize(analysis)))
     print(f"written: {page}", file=sys.stderr)

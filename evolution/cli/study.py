@@ -17,7 +17,7 @@ from caterpillar_env.errors import CaterpillarError
 from evolution import cli
 from evolution.cli.report import write_report
 from evolution.cli.running import check_address
-from evolution.study.cells import Processes, Progress, RayTasks, Workers, run_study
+from evolution.study.cells import Processes, Progress, RayTasks, run_study
 from evolution.study.config import begin, preset, read_toml
 
 
@@ -59,20 +59,22 @@ def study_command(argv: Sequence[str]) -> int:
     config = read_toml(args.file) if args.file else preset(str(args.preset))
     folder = args.out or Path("studies") / (args.file.stem if args.file else str(args.preset))
     begin(config, folder)
-    workers: Workers
+    console = cli.console()
+    for warning in config.warnings():
+        console.print(f"warning: {warning}")
+    workers: Processes | RayTasks
     if args.evaluator == "ray":
         workers = RayTasks(args.ray_address)
     else:
         workers = Processes(args.processes or machine.cores())
-    console = cli.console()
     try:
         with _Display(console) as display:
             failed = run_study(config, folder, workers, display.show)
     except KeyboardInterrupt:
-        console.print(f"stopped; go on with: caterpillar study {' '.join(argv)}")
+        console.print(f"stopped; continue with: caterpillar study {' '.join(argv)}")
         return 130
     for cell, error in failed:
-        console.print(f"{cell.arm} seed {cell.seed} failed: {error}")
+        console.print(f"{cell} failed: {error}")
     write_report(folder, console, look_again=args.winners)
     return 1 if failed else 0
 
@@ -99,13 +101,12 @@ class _Display:
     def show(self, progress: Progress) -> None:
         """Draw the display anew."""
         self._bar.update(
-            self._task, completed=progress.spent,
+            self._task, completed=progress.share,
             description=f"{progress.finished} of {progress.cells} runs",
         )  # fmt: skip
         lines = [
-            f"  {cell.arm} seed {cell.seed}: {now.simulated_s:,.0f} s simulated, "
-            f"best {1000 * now.best_m:.1f} mm"
-            for cell, now in progress.running.items()
+            f"  {cell}: {simulated_s:,.0f} s simulated, best {1000 * best_m:.1f} mm"
+            for cell, (simulated_s, best_m) in progress.running.items()
         ]
         if self._console.is_terminal:
             self._live.update(Group(self._bar, Text("\n".join(lines))))
@@ -117,6 +118,6 @@ class _Display:
             left = task.time_remaining
             eta = "" if left is None else f", left {left / 60:.0f} min"
             self._console.print(
-                f"{progress.finished} of {progress.cells} runs, {100 * progress.spent:.0f} %{eta};"
+                f"{progress.finished} of {progress.cells} runs, {100 * progress.share:.0f} %{eta};"
                 + ";".join(lines),
             )

@@ -1,238 +1,256 @@
-"""What a study's runs amount to: tables and sentences, from `study.collect`."""
+"""Analysis of a study: comparisons of its arms, as tables and in sentences."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-import polars
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
 from evolution.study import statistics
-from evolution.study.arms import EvolutionArm
 from evolution.study.config import Cell, StudyConfig
-from evolution.study.results import Course, courses
+from evolution.study.results import Results, Run, read_runs
 from evolution.study.statistics import Estimate
 
 TARGETS = 50
 _SEED = 2009  # of the bootstrap
 
+Arrivals = tuple[Array, NDArray[np.bool_]]
+G = TypeVar("G")
+T = TypeVar("T")
+
 
 class Times(NamedTuple):
-    """How soon an arm's runs reach a threshold; simulated seconds."""
+    """Simulated time after which the runs of an arm reach a threshold."""
 
     arm: str
     runs: int
     reached: int
     median_s: Estimate  #: Kaplan-Meier
-    restricted_mean_s: Estimate  #: none counted beyond the budget
     running_time_s: Estimate  #: ERT
-    speed_up: Estimate | None  #: over the reference; None for itself
-    log_rank_p: float | None  #: against the reference, Holm-corrected over the arms
+    speed_up: Estimate | None  #: ERT of the reference over that of the arm; None for the reference
+    log_rank_p: float | None  #: against the reference, corrected over the arms (Holm)
 
 
 class Finals(NamedTuple):
-    """How far an arm's best robots get by the end of the budget, m."""
+    """Best distances of the runs of an arm at the end of the budget."""
 
     arm: str
     runs: int
-    median_m: float
-    quartiles_m: tuple[float, float]
-    interquartile_mean_m: float
+    median_m: Estimate
     best_m: float
     failed: float  #: share of all evaluations
     a12: Estimate | None  #: against the reference
-    mann_whitney_p: float | None  #: likewise, Holm-corrected
-    wilcoxon_p: float | None  #: of seeds paired, likewise
-    wall_s: float | None  #: median wall time of a run that was not interrupted
+    mann_whitney_p: float | None  #: against the reference, corrected over the arms (Holm)
+    wall_s: float | None  #: median wall time of the runs that were never interrupted
 
 
 class Gain(NamedTuple):
-    """Best distance at a generation, over the reference's."""
+    """Best distance of an arm at a generation, relative to the reference."""
 
     arm: str
-    generation: int
-    runs: int  #: that got so far within the budget
+    runs: int  #: runs that reached this generation within the budget
     ratio: Estimate  #: of the medians
 
 
 @dataclass(frozen=True)
 class Analysis:
-    """All that is said of a study."""
+    """Comparison of the arms of a study."""
 
     config: StudyConfig
-    missing: Sequence[Cell]  #: cells that are not finished
-    thresholds_m: list[float] | None  #: None as long as the pilot seeds are not through
-    courses: dict[str, list[Course]]
-    times: dict[float, list[Times]]  #: by threshold
+    missing: Sequence[Cell]  #: runs that are not finished
+    thresholds_m: list[float] | None  #: None until all pilot runs are finished
+    runs: dict[str, list[Run]]  #: of the arms that have any, without pilot runs
+    times: dict[float, list[Times]]  #: by threshold, m
     finals: list[Finals]
     gains: list[Gain]
-    ecdf: dict[str, Array]  #: share of (run, target) pairs, over `grid_s`
+    ecdf: dict[str, Array]  #: share of (run, target) pairs reached at each time of `grid_s`
     grid_s: Array
 
 
-def analyse(
-    config: StudyConfig,
-    frame: polars.DataFrame,
-    missing: Sequence[Cell],
-    thresholds_m: list[float] | None,
-) -> Analysis:
-    """The tables of a study, of those of its cells that are finished."""
-    runs = {arm: found for arm, found in courses(frame, config, config.seeds).items() if found}
+def analyse(config: StudyConfig, results: Results, thresholds_m: list[float] | None) -> Analysis:
+    """Compare the arms by those of their runs that are finished."""
+    found = read_runs(results.table, config, config.seeds)
+    runs = {arm: arm_runs for arm, arm_runs in found.items() if arm_runs}
     grid_s = np.linspace(0.0, config.budget_s, 201)
-    levels = np.linspace(0.02, 1.0, TARGETS) * max(
-        (c.best_m[-1] for found in runs.values() for c in found), default=1.0
-    )
+    best_m = max((run.best_m[-1] for arm_runs in runs.values() for run in arm_runs), default=1.0)
+    targets_m = np.linspace(0.02, 1.0, TARGETS) * best_m
     return Analysis(
         config=config,
-        missing=missing,
+        missing=results.missing,
         thresholds_m=thresholds_m,
-        courses=runs,
-        times={t: _times(config, runs, t) for t in thresholds_m or []},
-        finals=_finals(config, runs, frame),
+        runs=runs,
+        times={threshold: _times(config, runs, threshold) for threshold in thresholds_m or []},
+        finals=_finals(config, runs),
         gains=_gains(config, runs),
         ecdf={
             arm: statistics.target_ecdf(
-                np.array([[c.reaches(level, np.inf)[0] for level in levels] for c in found]), grid_s
+                np.array([[run.reaches(t, np.inf)[0] for t in targets_m] for run in arm_runs]), grid_s
             )
-            for arm, found in runs.items()
+            for arm, arm_runs in runs.items()
         },
         grid_s=grid_s,
     )
 
 
-def arrival(
-    found: Sequence[Course], threshold_m: float, budget_s: float
-) -> tuple[Array, NDArray[np.bool_]]:
-    """When runs reach a threshold, or the budget; and which of them do: (n,) each."""
-    pairs = [c.reaches(threshold_m, budget_s) for c in found]
+def arrivals(runs: Sequence[Run], threshold_m: float, budget_s: float) -> Arrivals:
+    """Return when runs reach a threshold, or the budget; and which of them reach it: (n,) each."""
+    pairs = [run.reaches(threshold_m, budget_s) for run in runs]
     return np.array([time for time, _ in pairs]), np.array([reached for _, reached in pairs])
 
 
-def _times(config: StudyConfig, runs: dict[str, list[Course]], threshold_m: float) -> list[Times]:
-    arrivals = {arm: arrival(found, threshold_m, config.budget_s) for arm, found in runs.items()}
-    reference = arrivals.get(config.reference)
-    others = [arm for arm in runs if arm != config.reference and reference is not None]
-    tests = [statistics.log_rank(*arrivals[arm], *reference) for arm in others] if reference else []
-    corrected = dict(zip(others, statistics.holm(tests), strict=True))
-    rows = []
-    for arm, (time, reached) in arrivals.items():
-        rng = np.random.default_rng(_SEED)
-        rows.append(
-            Times(
-                arm=arm,
-                runs=len(time),
-                reached=int(reached.sum()),
-                median_s=statistics.kaplan_meier(time, reached).median,
-                restricted_mean_s=_drawn(
-                    lambda t, r: statistics.restricted_mean_time(t, r, config.budget_s),
-                    [(time, reached)], rng, resamples=999,
-                ),
-                running_time_s=statistics.bootstrap(
-                    statistics.expected_running_time, [(time, reached)], rng
-                ),
-                speed_up=_drawn(statistics.speed_up, [(time, reached), reference], rng)
-                if arm in corrected and reference is not None
-                else None,
-                log_rank_p=corrected.get(arm),
-            )
-        )  # fmt: skip
-    return rows
-
-
-def _drawn(
-    statistic: Callable[..., float],
-    groups: list[tuple[Array, NDArray[np.bool_]]],
-    rng: np.random.Generator,
-    **kwargs: Any,
-) -> Estimate:
-    """The bootstrap; where nobody of a group arrives, drawing anew cannot tell how sure that is."""
-    if all(reached.any() for _, reached in groups):
-        return statistics.bootstrap(statistic, groups, rng, **kwargs)
-    value = statistic(*(array for group in groups for array in group))
-    return Estimate(value, float("nan"), float("nan"))
-
-
-def _finals(config: StudyConfig, runs: dict[str, list[Course]], frame: polars.DataFrame) -> list[Finals]:
-    final = {arm: {c.seed: float(c.best_m[-1]) for c in found} for arm, found in runs.items()}
-    reference = final.get(config.reference, {})
-    others = [arm for arm in final if arm != config.reference and reference]
-    base = np.array(list(reference.values()))
-    mann = dict(
-        zip(
-            others,
-            statistics.holm(
-                [statistics.mann_whitney(np.array(list(final[a].values())), base) for a in others]
-            ),
-            strict=True,
+def _times(config: StudyConfig, runs: dict[str, list[Run]], threshold_m: float) -> list[Times]:
+    groups = {arm: arrivals(found, threshold_m, config.budget_s) for arm, found in runs.items()}
+    speed_up = _compare(config, groups, _speed_up)
+    log_rank = _holm(_compare(config, groups, lambda a, b: statistics.log_rank(*a, *b)))
+    return [
+        Times(
+            arm=arm,
+            runs=len(time),
+            reached=int(reached.sum()),
+            median_s=statistics.kaplan_meier(time, reached).median,
+            running_time_s=_bootstrap(statistics.expected_running_time, (time, reached)),
+            speed_up=speed_up.get(arm),
+            log_rank_p=log_rank.get(arm),
         )
-    )
-    paired = {}
-    for arm in others:
-        seeds = sorted(set(final[arm]) & set(reference))
-        paired[arm] = statistics.wilcoxon(
-            np.array([final[arm][s] for s in seeds]), np.array([reference[s] for s in seeds])
-        )
-    signed = dict(zip(others, statistics.holm(list(paired.values())), strict=True))
+        for arm, (time, reached) in groups.items()
+    ]
+
+
+def _finals(config: StudyConfig, runs: dict[str, list[Run]]) -> list[Finals]:
+    final_m = {arm: np.array([run.best_m[-1] for run in found]) for arm, found in runs.items()}
+    a12 = _compare(config, final_m, statistics.a12)
+    p = _holm(_compare(config, final_m, statistics.mann_whitney))
     rows = []
-    for arm, by_seed in final.items():
-        values = np.array(list(by_seed.values()))
-        mine = within_budget(frame, config, arm)
-        walls = mine.group_by("seed").first()["wall_s"].drop_nulls()
+    for arm, values in final_m.items():
+        failures = np.concatenate([run.failure for run in runs[arm]])
+        walls_s = [run.wall_s for run in runs[arm] if run.wall_s is not None]
         rows.append(
             Finals(
                 arm=arm,
                 runs=len(values),
-                median_m=float(np.median(values)),
-                quartiles_m=(float(np.quantile(values, 0.25)), float(np.quantile(values, 0.75))),
-                interquartile_mean_m=statistics.interquartile_mean(values),
+                median_m=_bootstrap(lambda x: float(np.median(x)), (values,)),
                 best_m=float(values.max()),
-                failed=float((mine["failure"] != "ok").mean() or 0.0),  # type: ignore[arg-type]
-                a12=statistics.a12(values, base) if arm in mann else None,
-                mann_whitney_p=mann.get(arm),
-                wilcoxon_p=signed.get(arm),
-                wall_s=float(np.median(walls.to_numpy())) if len(walls) else None,
+                failed=float(np.mean(failures != "ok")),
+                a12=a12.get(arm),
+                mann_whitney_p=p.get(arm),
+                wall_s=float(np.median(walls_s)) if walls_s else None,
             )
         )
     return rows
 
 
-def within_budget(frame: polars.DataFrame, config: StudyConfig, arm: str) -> polars.DataFrame:
-    """The evaluations of an arm that count, with the simulated seconds `spent` by the end of each."""
-    mine = frame.filter((polars.col("arm") == arm) & polars.col("seed").is_in(config.seeds))
-    spent = polars.col("simulated_s").cum_sum().over("seed", order_by="evaluation")
-    return mine.with_columns(spent=spent).filter(polars.col("spent") <= config.budget_s)
-
-
-def _gains(config: StudyConfig, runs: dict[str, list[Course]]) -> list[Gain]:
-    """Only arms of the reference's optimizer have generations that compare."""
-    searches = {a: kind.config for a, kind in config.arms.items() if isinstance(kind, EvolutionArm)}
-    same = searches.get(config.reference)
-    at = {}
-    for arm, found in runs.items():
-        mine = searches.get(arm)
-        if mine and same and (mine.optimizer, mine.ga) == (same.optimizer, same.ga):
-            values = np.array([c.at_generation(config.generation) for c in found])
-            if np.isfinite(values).any():
-                at[arm] = values[np.isfinite(values)]
-    base = at.get(config.reference)
-    if base is None or np.median(base) <= 0:
+def _gains(config: StudyConfig, runs: dict[str, list[Run]]) -> list[Gain]:
+    reached = {}
+    for arm in config.comparable():
+        values = np.array([run.at_generation(config.generation) for run in runs.get(arm, [])])
+        if np.isfinite(values).any():
+            reached[arm] = values[np.isfinite(values)]
+    if np.median(reached.get(config.reference, 0.0)) <= 0:
         return []
-    rng = np.random.default_rng(_SEED)
-    return [
-        Gain(
-            arm,
-            config.generation,
-            len(values),
-            statistics.bootstrap(
-                lambda a, b: float(np.median(a) / np.median(b)) if np.median(b) > 0 else np.inf,
-                [(values,), (base,)],
-                rng,
-            ),
+
+    def ratio(a: Array, b: Array) -> float:
+        return float(np.median(a) / np.median(b)) if np.median(b) > 0 else np.inf
+
+    ratios = _compare(config, reached, lambda a, b: _bootstrap(ratio, (a,), (b,)))
+    return [Gain(arm, len(reached[arm]), estimate) for arm, estimate in ratios.items()]
+
+
+def _compare(config: StudyConfig, groups: dict[str, G], compare: Callable[[G, G], T]) -> dict[str, T]:
+    """Compare each arm with the reference, if the reference has runs."""
+    base = groups.get(config.reference)
+    if base is None:
+        return {}
+    return {arm: compare(group, base) for arm, group in groups.items() if arm != config.reference}
+
+
+def _holm(p: dict[str, float]) -> dict[str, float]:
+    return dict(zip(p, statistics.holm(list(p.values())).tolist(), strict=True))
+
+
+def _bootstrap(statistic: Callable[..., float], *groups: tuple[NDArray[Any], ...]) -> Estimate:
+    return statistics.bootstrap(statistic, groups, np.random.default_rng(_SEED))
+
+
+def _speed_up(group: Arrivals, reference: Arrivals) -> Estimate:
+    if not (group[1].any() and reference[1].any()):  # no resample could tell how certain the value is
+        return Estimate(statistics.speed_up(*group, *reference), float("nan"), float("nan"))
+    return _bootstrap(statistics.speed_up, group, reference)
+
+
+def summarize(analysis: Analysis) -> list[str]:
+    """State the results of a study in sentences."""
+    config, lines = analysis.config, []
+    if analysis.missing:
+        shown = ", ".join(map(str, analysis.missing[:6])) + (", ..." if analysis.missing[6:] else "")
+        lines.append(
+            f"UNFINISHED: {len(analysis.missing)} of {len(config.cells())} runs are missing ({shown}); "
+            "these results are of the others."
         )
-        for arm, values in at.items()
-        if arm != config.reference
+    if analysis.thresholds_m is None:
+        lines.append("There are no thresholds yet: the pilot runs are not finished.")
+    elif not analysis.thresholds_m:
+        lines.append("There are no thresholds: most pilot runs of the reference never crawled forwards.")
+    else:
+        lines += _summarize_times(analysis, analysis.thresholds_m[-1])
+    medians = {row.arm: row.median_m.value for row in analysis.finals}
+    lines += [
+        f"{_title(config, row.arm)} ends at a median of {_mm(row.median_m.value)} against "
+        f"{_mm(medians[config.reference])} of the reference; A12 {format_estimate(row.a12)}, "
+        f"Mann-Whitney p {format_p(row.mann_whitney_p)}."
+        for row in analysis.finals
+        if row.a12 is not None
     ]
+    for gain in analysis.gains:
+        value, low, high = (100 * (ratio - 1) for ratio in gain.ratio)
+        lines.append(
+            f"{_title(config, gain.arm)}: {value:+.0f} % distance at generation {config.generation} "
+            f"against the reference ({low:+.0f} to {high:+.0f} %; {gain.runs} runs)."
+        )
+    return lines
+
+
+def _summarize_times(analysis: Analysis, threshold_m: float) -> list[str]:
+    config, lines = analysis.config, []
+    rows = analysis.times[threshold_m]
+    for row in rows:
+        line = f"{_title(config, row.arm)}: {row.reached} of {row.runs} runs reach {_mm(threshold_m)}"
+        if row.speed_up is not None:
+            line += f"; speed-up {format_estimate(row.speed_up)}, log-rank p {format_p(row.log_rank_p)}"
+        lines.append(line + ".")
+    fastest = min(rows, key=lambda row: row.running_time_s.value, default=None)
+    if fastest is not None and np.isfinite(fastest.running_time_s.value):
+        lines.append(
+            f"Least expected running time to {_mm(threshold_m)}: {fastest.arm}, "
+            f"{fastest.running_time_s.value:,.0f} simulated seconds."
+        )
+    return lines
+
+
+def _title(config: StudyConfig, arm: str) -> str:
+    title = config.arms[arm].title
+    return f"{title[0].upper()}{title[1:]} ({arm})"
+
+
+def _mm(metres: float) -> str:
+    return f"{1000 * metres:.0f} mm"
+
+
+def format_estimate(estimate: Estimate | None, pattern: str = "{:.2f}", factor: float = 1.0) -> str:
+    """Format a value with its interval, both multiplied by `factor`."""
+    if estimate is None:
+        return ""
+    if np.isnan(estimate.value):
+        return "undefined"
+    value, low, high = (pattern.format(factor * v) if np.isfinite(v) else "∞" for v in estimate)
+    return value if np.isnan(estimate.low) else f"{value} ({low} to {high})"
+
+
+def format_p(p: float | None) -> str:
+    """Format a p value with three decimals."""
+    if p is None:
+        return ""
+    return "< 0.001" if p < 0.001 else f"{p:.3f}"

@@ -1,224 +1,204 @@
-"""Where the cells of a study run: in processes of this machine, or as tasks of a Ray cluster.
+"""Runs the cells of a study, in processes of this machine or as tasks of a Ray cluster.
 
-Nothing passes between a cell and its study but the run folder: progress is read from its journal, and
-a cell that was lost goes on from there.
+A cell communicates with its study only through its run folder: progress is read from the journal, and a
+cell that was stopped continues from it.
 """
 
 from __future__ import annotations
 
-import contextlib
 import multiprocessing
 import multiprocessing.connection
 import os
 import signal
 import threading
 from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
-from evolution.run.evaluators import RayEvaluator
-from evolution.study.arms import Arm, Standing
-from evolution.study.config import Cell, StudyConfig, StudyError, is_finished
+from evolution.run.evaluators import connect_ray
+from evolution.run.journal import read_progress
+from evolution.study.arms import Arm, ArmError
+from evolution.study.config import Cell, StudyConfig, StudyError
+from evolution.study.results import read_finished
 
 _POLL_S = 0.5
+_Task = Callable[[], None]
 
 
-class Workers(Protocol):
-    """Run cells side by side; a context that stops those that still run."""
-
-    def __enter__(self) -> Workers: ...
-
-    def __exit__(self, *_: object) -> None: ...
-
-    def start(self, cell: Cell, arm: Arm, folder: Path, budget_s: float) -> None:
-        """Begin a cell, or go on with it."""
-        ...
-
-    def wait(self, timeout_s: float) -> list[tuple[Cell, str]]:
-        """Cells that ended since, each with the error that ended it, or an empty text."""
-        ...
-
-    @property
-    def free(self) -> int:
-        """How many more cells can run now."""
-        ...
+class CellError(StudyError):
+    """A cell failed."""
 
 
 class Processes:
-    """A process of this machine for each cell, on one thread each.
+    """Runs each cell in a process of this machine, on one thread.
 
     Args:
-        count: how many at a time.
+        count: maximum number of cells at a time.
     """
 
     def __init__(self, count: int) -> None:
         if count < 1:
             raise StudyError(f"a study needs at least 1 process; got {count} (--processes 0: all cores)")
-        self._count = count
-        self._context = multiprocessing.get_context("spawn")
-        self._running: dict[Cell, tuple[Any, Connection]] = {}
+        self.count = count
+        self._processes: list[multiprocessing.process.BaseProcess] = []
 
     def __enter__(self) -> Processes:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for process, _said in self._running.values():
+        for process in self._processes:
             process.terminate()
-        for process, _said in self._running.values():
+        for process in self._processes:
             process.join()
 
-    def start(self, cell: Cell, arm: Arm, folder: Path, budget_s: float) -> None:
-        """See `Workers`."""
-        ours, theirs = self._context.Pipe(duplex=False)
-        process = self._context.Process(
-            target=_in_process, args=(arm, folder, cell.seed, budget_s, theirs), daemon=True
-        )
+    def run(self, task: _Task) -> None:
+        """Run a task to its end.
+
+        Raises:
+            CellError: the task raised an error, or its process was killed.
+        """
+        context = multiprocessing.get_context("spawn")
+        receiver, sender = context.Pipe(duplex=False)
+        process = context.Process(target=_run_in_process, args=(task, sender), daemon=True)
         process.start()
-        theirs.close()
-        self._running[cell] = process, ours
-
-    def wait(self, timeout_s: float) -> list[tuple[Cell, str]]:
-        """See `Workers`."""
-        multiprocessing.connection.wait([p.sentinel for p, _ in self._running.values()], timeout_s)
-        ended = []
-        for cell, (process, said) in list(self._running.items()):
-            if process.is_alive():
-                continue
+        self._processes.append(process)
+        sender.close()
+        try:
+            error = receiver.recv()
+        except EOFError:  # it sent no error
             process.join()
-            error = ""
-            if process.exitcode:
-                error = f"its process ended with status {process.exitcode}"
-            with contextlib.suppress(EOFError):  # nothing said
-                error = said.recv()
-            ended.append((cell, error))
-            del self._running[cell]
-        return ended
-
-    @property
-    def free(self) -> int:
-        """See `Workers`."""
-        return self._count - len(self._running)
+            error = f"its process ended with status {process.exitcode}" if process.exitcode else None
+        if error is not None:
+            raise CellError(error)
 
 
-def _in_process(arm: Arm, folder: Path, seed: int, budget_s: float, said: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+def _run_in_process(task: _Task, errors: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
     try:
-        arm.run(folder, seed, budget_s)
+        task()
     except Exception as error:
-        said.send(f"{type(error).__name__}: {error}")
+        errors.send(f"{type(error).__name__}: {error}")
 
 
-def _end_with_parent() -> None:
-    """A study that was killed leaves no runs behind that would keep it from going on."""
+def _exit_with_parent() -> None:
+    """End this process when its parent is killed, so that its run can be resumed."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     multiprocessing.connection.wait([parent.sentinel])
-    os._exit(1)  # a journal loses nothing by it
-
-
-def _run(arm: Arm, folder: Path, seed: int, budget_s: float) -> None:
-    arm.run(folder, seed, budget_s)
+    os._exit(1)  # committed evaluations are safe
 
 
 class RayTasks:
-    """A task of a Ray cluster for each cell; its machines must all see the study's folder.
+    """Runs each cell as a task of a Ray cluster, whose machines must all see the study's folder.
 
     Args:
-        address: see `RayEvaluator`.
+        address: see `evolution.run.evaluators.connect_ray`.
     """
 
     def __init__(self, address: str | None = None) -> None:
-        self._cluster = RayEvaluator(address)
-        self._running: dict[Any, Cell] = {}
+        self._connection = connect_ray(address)
+        self._tasks: list[object] = []
 
     def __enter__(self) -> RayTasks:
-        self._cluster.__enter__()
+        self._connection.__enter__()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *exception: Any) -> None:
         import ray
 
-        for reference in self._running:
-            ray.cancel(reference)
-        self._cluster.__exit__()
-
-    def start(self, cell: Cell, arm: Arm, folder: Path, budget_s: float) -> None:
-        """See `Workers`."""
-        import ray
-
-        task = ray.remote(num_cpus=1, max_retries=-1)(_run)
-        self._running[task.remote(arm, folder.resolve(), cell.seed, budget_s)] = cell
-
-    def wait(self, timeout_s: float) -> list[tuple[Cell, str]]:
-        """See `Workers`."""
-        import ray
-
-        done, _ = ray.wait(list(self._running), num_returns=1, timeout=timeout_s)
-        ended = []
-        for reference in done:
-            error = ""
-            try:
-                ray.get(reference)
-            except ray.exceptions.RayError as problem:
-                cause = getattr(problem, "cause", problem)
-                error = f"{type(cause).__name__}: {cause}"
-            ended.append((self._running.pop(reference), error))
-        return ended
+        for task in self._tasks:
+            ray.cancel(task)
+        self._connection.__exit__(*exception)
 
     @property
-    def free(self) -> int:
-        """See `Workers`."""
+    def count(self) -> int:
+        """Maximum number of cells at a time: the cores of the cluster."""
         import ray
 
-        return int(ray.cluster_resources().get("CPU", 1)) - len(self._running)
+        return int(ray.cluster_resources().get("CPU", 1))
+
+    def run(self, task: _Task) -> None:
+        """Run a task to its end.
+
+        Raises:
+            CellError: the task raised an error, or was cancelled.
+        """
+        import ray
+
+        reference = ray.remote(num_cpus=1, max_retries=-1)(task).remote()
+        self._tasks.append(reference)
+        try:
+            ray.get(reference)
+        except ray.exceptions.RayError as error:
+            cause = getattr(error, "cause", error)
+            raise CellError(f"{type(cause).__name__}: {cause}") from None
+        finally:
+            self._tasks.remove(reference)
 
 
 class Progress(NamedTuple):
-    """What is told while a study runs."""
+    """Progress of a study."""
 
-    finished: int  #: cells
+    finished: int  #: number of cells
     cells: int
-    spent: float  #: share of all simulated seconds, in [0, 1]
-    running: dict[Cell, Standing]
+    share: float  #: of the simulated seconds of all cells, in [0, 1]
+    running: dict[Cell, tuple[float, float]]  #: simulated seconds and greatest distance (m) so far
 
 
 def run_study(
     config: StudyConfig,
     folder: Path,
-    workers: Workers,
+    workers: Processes | RayTasks,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> list[tuple[Cell, str]]:
-    """Run every cell that is not finished; those that fail do not keep the others from running.
+    """Run every cell that is not finished; a cell that fails does not stop the others.
 
     Args:
-        config: the study; `study.begin` has made its folder.
-        folder: of the study.
+        config: the study.
+        folder: its folder, see `evolution.study.config.begin`.
         workers: where to run.
-        on_progress: told twice a second.
+        on_progress: called twice a second.
 
     Returns:
         The cells that failed, each with its error.
     """
     cells = config.cells()
-    waiting = [cell for cell in cells if not is_finished(config, cell, folder)]
-    running: list[Cell] = []
-    failed: list[tuple[Cell, str]] = []
     with workers:
-        while waiting or running:
-            while waiting and workers.free > 0:
-                cell = waiting.pop(0)
-                workers.start(cell, config.arms[cell.arm], cell.folder(folder), config.budget_s)
-                running.append(cell)
-            for cell, error in workers.wait(_POLL_S):
-                running.remove(cell)
-                if error:
-                    failed.append((cell, error))
-            if on_progress is not None:
-                now = {cell: config.arms[cell.arm].standing(cell.folder(folder)) for cell in running}
-                finished = len(cells) - len(waiting) - len(running) - len(failed)
-                under_way = sum(min(s.simulated_s / config.budget_s, 1.0) for s in now.values())
-                spent = (finished + len(failed) + under_way) / len(cells)
-                on_progress(Progress(finished, len(cells), spent, now))
-    return failed
+        pool = ThreadPoolExecutor(workers.count)
+        futures: dict[Future[None], Cell] = {}
+        try:
+            for cell in cells:
+                if read_finished(config, cell, folder) is None:
+                    arm, run = config.arms[cell.arm], cell.folder(folder).resolve()
+                    task = partial(_run, arm, run, cell.seed, config.budget_s)
+                    futures[pool.submit(workers.run, task)] = cell
+            pending = set(futures)
+            while pending:
+                _, pending = wait(pending, _POLL_S, FIRST_COMPLETED)
+                if on_progress is not None:
+                    on_progress(_measure_progress(config, folder, cells, futures))
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+    errors = {cell: future.exception() for future, cell in futures.items()}
+    return [(cell, str(error)) for cell, error in errors.items() if error is not None]
+
+
+def _run(arm: Arm, folder: Path, seed: int, budget_s: float) -> None:
+    if not arm.run(folder, seed, budget_s):
+        raise ArmError(f"{folder} was interrupted; run the study again to continue")
+
+
+def _measure_progress(
+    config: StudyConfig, folder: Path, cells: list[Cell], futures: dict[Future[None], Cell]
+) -> Progress:
+    running = {cell: read_progress(cell.folder(folder)) for f, cell in futures.items() if f.running()}
+    ended = [future for future in futures if future.done()]
+    failed = sum(future.exception() is not None for future in ended)
+    before = len(cells) - len(futures)
+    partly = sum(min(spent_s / config.budget_s, 1.0) for spent_s, _ in running.values())
+    share = (before + len(ended) + partly) / len(cells)
+    return Progress(before + len(ended) - failed, len(cells), share, running)

@@ -1,7 +1,7 @@
-"""A study: arms times seeds, each cell a run of its own, all with one budget of simulated seconds.
+"""The configuration of a study: arms times seeds, with one budget of simulated seconds for every run.
 
-A study is a folder that can be left and gone on with at any point: `study.json` (what is asked),
-`cells/ARM/seed-N` (a run folder each), `thresholds.json` (frozen once, from seeds of their own).
+A study is a folder with `study.json` (the configuration), `cells/ARM/seed-N` (one run folder each) and
+`thresholds.json` (written once, from pilot runs). A study can be stopped and resumed at any time.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,14 +18,14 @@ import numpy as np
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import read, write_json, writing
 from caterpillar_env.task import EPISODE_S
-from evolution.study import arms as kinds
-from evolution.study.arms import Arm
+from evolution.config import RunConfig
+from evolution.study.arms import Arm, EvolutionArm, make_arm
 
-SETTINGS = "study.json"  #: what is asked
+SETTINGS = "study.json"  #: the file of a study's configuration
 
 
 class StudyError(CaterpillarError):
-    """A study is not described or not used as it must be."""
+    """A study's configuration or folder cannot be used."""
 
 
 class Cell(NamedTuple):
@@ -35,181 +35,191 @@ class Cell(NamedTuple):
     seed: int
 
     def folder(self, study: Path) -> Path:
-        """Its run folder."""
+        """Return the run folder."""
         return study / "cells" / self.arm / f"seed-{self.seed}"
+
+    def __str__(self) -> str:
+        return f"{self.arm} seed {self.seed}"
 
 
 @dataclass(frozen=True)
 class StudyConfig:
-    """What a study asks.
+    """Configuration of a study.
 
     Raises:
-        StudyError: seeds are missing or serve twice, the reference is no arm, or a value is unusable.
+        StudyError: a value is out of range, a seed is repeated, or the reference is not an arm.
     """
 
     arms: Mapping[str, Arm]
     seeds: tuple[int, ...]
-    pilot_seeds: tuple[int, ...]  #: of the reference arm alone; thresholds come from them, nothing else
-    budget_s: float  #: simulated seconds of each cell
+    pilot_seeds: tuple[int, ...]  #: of the reference arm; used for the thresholds only
+    budget_s: float  #: simulated seconds of each run
     reference: str = "ga-uniform"  #: the arm that the others are compared with
-    generation: int = 50  #: at which arms of the genetic algorithm are compared as well
+    generation: int = 50  #: arms of the same genetic algorithm are also compared at this generation
     threshold_shares: tuple[float, ...] = (0.5, 0.75, 1.0)  #: of the reference's median final distance
-    sources: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    sources: Mapping[str, Any] = field(
+        default_factory=dict, compare=False
+    )  #: `base` and `arms` as given
 
     def __post_init__(self) -> None:
         if not self.arms:
-            raise StudyError("a study needs arms: give each a table [arms.NAME] with its settings")
-        for name in ("seeds", "pilot_seeds"):
-            seeds = getattr(self, name)
-            whole = all(isinstance(s, int) and s >= 0 for s in seeds)
-            if not seeds or not whole or len(set(seeds)) < len(seeds):
+            raise StudyError("a study needs arms: add a table [arms.NAME] for each of them")
+        for arm in self.arms:
+            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", arm):
                 raise StudyError(
-                    f"{name} must be different whole numbers from 0, at least one; got {list(seeds)}"
+                    "the name of an arm is used for a folder: use letters, digits, '.', '_' and '-'; "
+                    f"got {arm!r}"
                 )
-        if both := set(self.seeds) & set(self.pilot_seeds):
-            raise StudyError(
-                f"seeds {sorted(both)} are pilot seeds too: thresholds must come from runs that the "
-                "analysis does not see"
-            )
         if self.reference not in self.arms:
             raise StudyError(
-                f"reference = {self.reference!r} is no arm; arms are {', '.join(self.arms)}"
+                f"reference = {self.reference!r} must be one of the arms {', '.join(self.arms)}"
             )
-        number = isinstance(self.budget_s, (int, float))
-        if not number or not EPISODE_S <= self.budget_s < np.inf:
+        for name in ("seeds", "pilot_seeds"):
+            seeds = getattr(self, name)
+            valid = isinstance(seeds, tuple) and all(isinstance(s, int) and s >= 0 for s in seeds)
+            if not valid or not seeds or len(set(seeds)) < len(seeds):
+                raise StudyError(f"{name} must be a list of different integers from 0; got {seeds!r}")
+        if both := set(self.seeds) & set(self.pilot_seeds):
+            raise StudyError(
+                f"seeds {sorted(both)} are pilot seeds too: thresholds must come from runs that are not "
+                "analysed; choose other pilot_seeds"
+            )
+        if not isinstance(self.budget_s, (int, float)) or not EPISODE_S <= self.budget_s < np.inf:
             raise StudyError(
                 f"budget_s = {self.budget_s!r} must be at least {EPISODE_S:g}, the simulated seconds of "
                 "one evaluation"
             )
         if not isinstance(self.generation, int) or self.generation < 0:
-            raise StudyError(f"generation = {self.generation!r} must be a whole number from 0")
-        for arm in self.arms:
-            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", arm):
-                raise StudyError(
-                    f"an arm's name is a folder's too: letters, digits, '.', '_' and '-'; got {arm!r}"
-                )
+            raise StudyError(f"generation = {self.generation!r} must be an integer from 0")
         shares = self.threshold_shares
-        if not shares or not all(0 < s < np.inf for s in shares):
-            raise StudyError(f"threshold_shares must be positive numbers; got {list(shares)}")
+        if not isinstance(shares, tuple) or not shares or not all(0 < s < np.inf for s in shares):
+            raise StudyError(f"threshold_shares must be a list of positive numbers; got {shares!r}")
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> StudyConfig:
-        """The study of plain data, as in a TOML file: `base` holds what all arms have in common.
+        """Make a study from plain data, as in a TOML file; `base` holds settings shared by all arms.
 
         Raises:
-            CaterpillarError: an unknown field, or an unusable value.
+            CaterpillarError: a field is missing, unknown or unusable.
         """
-        fields = {**data}
-        base, arms = fields.pop("base", {}), fields.pop("arms", {})
-        known = {"seeds", "pilot_seeds", "budget_s", "reference", "generation", "threshold_shares"}
-        if unknown := set(fields) - known:
+        settings: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
+        sources = {name: settings.pop(name, {}) for name in ("base", "arms")}
+        for name, table in sources.items():
+            _check_table(name, table)
+        known = [f.name for f in fields(cls) if f.name not in ("arms", "sources")]
+        if unknown := set(settings) - set(known):
             raise StudyError(
-                f"a study has no {', '.join(sorted(unknown))}; it has base, arms, "
-                f"{', '.join(sorted(known))}"
+                f"a study has no {', '.join(sorted(unknown))}; its fields are base, arms, "
+                f"{', '.join(known)}"
             )
-        if missing := {"seeds", "pilot_seeds", "budget_s"} - set(fields):
-            raise StudyError(f"a study needs {', '.join(sorted(missing))}")
-        for name in ("seeds", "pilot_seeds", "threshold_shares"):
-            if name in fields:
-                if not isinstance(fields[name], (list, tuple)):
-                    raise StudyError(f"{name} must be a list; got {fields[name]!r}")
-                fields[name] = tuple(fields[name])
-        for name, table in (("base", base), ("arms", arms)):
-            if not isinstance(table, Mapping):
-                raise StudyError(f"{name} must be a table; got {table!r}")
-        made = {}
-        for name, special in arms.items():
-            if not isinstance(special, Mapping):
-                raise StudyError(f"arms.{name} must be a table of an arm's settings; got {special!r}")
-            if taken := (set(special) | set(base)) & {"seed", "generations", "budget_s"}:
-                raise StudyError(
-                    f"arms.{name}: {', '.join(sorted(taken))} is the study's to say, not an arm's"
-                )
-            try:
-                made[name] = kinds.make(special, base)
-            except CaterpillarError as error:
-                raise StudyError(f"arms.{name}: {error}") from None
-        try:
-            return cls(made, **fields, sources={"base": base, "arms": arms})
-        except TypeError as error:
-            raise StudyError(f"the study cannot be read: {error}") from None
+        if missing := [name for name in ("seeds", "pilot_seeds", "budget_s") if name not in settings]:
+            raise StudyError(f"a study needs {', '.join(missing)}")
+        arms = {name: _read_arm(name, arm, sources["base"]) for name, arm in sources["arms"].items()}
+        return cls(arms, **settings, sources=sources)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data, as `from_dict` takes it."""
-        return {
-            "seeds": list(self.seeds),
-            "pilot_seeds": list(self.pilot_seeds),
-            "budget_s": self.budget_s,
-            "reference": self.reference,
-            "generation": self.generation,
-            "threshold_shares": list(self.threshold_shares),
-            **self.sources,
-        }
+        """Return plain data, as `from_dict` takes it."""
+        names = [f.name for f in fields(self) if f.name not in ("arms", "sources")]
+        return {name: getattr(self, name) for name in names} | dict(self.sources)
 
     def cells(self) -> list[Cell]:
-        """All runs; those that thresholds come from first."""
+        """List all runs, pilot runs first."""
         pilot = [Cell(self.reference, seed) for seed in self.pilot_seeds]
         return pilot + [Cell(arm, seed) for seed in self.seeds for arm in self.arms]
 
+    def comparable(self) -> dict[str, RunConfig]:
+        """Return the arms whose generations compare with the reference's: those of its algorithm."""
+        runs = {name: arm.config for name, arm in self.arms.items() if isinstance(arm, EvolutionArm)}
+        base = runs.get(self.reference)
+        if base is None:
+            return {}
+        return {
+            n: run for n, run in runs.items() if (run.optimizer, run.ga) == (base.optimizer, base.ga)
+        }
+
+    def warnings(self) -> list[str]:
+        """Describe arms for which the budget may be too short, as when no evaluation fails early."""
+        found = []
+        comparable = self.comparable()
+        for name, arm in self.arms.items():
+            if not isinstance(arm, EvolutionArm):
+                continue
+            needs = {"the first generation": 1}
+            if name in comparable:
+                needs[f"generation {self.generation}, at which arms are compared,"] = self.generation + 1
+            for what, generations in needs.items():
+                needed_s = EPISODE_S * replace(arm.config, generations=generations).evaluations()
+                if needed_s > self.budget_s:
+                    found.append(
+                        f"arms.{name}: {what} may not be completed: it takes up to "
+                        f"{needed_s:g} simulated seconds, and budget_s = {self.budget_s:g}"
+                    )
+                    break
+        return found
+
+
+def _check_table(name: str, table: Any) -> None:
+    if not isinstance(table, Mapping):
+        raise StudyError(f"{name} must be a table; got {table!r}")
+
+
+def _read_arm(name: str, settings: Any, base: Mapping[str, Any]) -> Arm:
+    _check_table(f"arms.{name}", settings)
+    if reserved := {*settings, *base} & {"seed", "generations", "budget_s"}:
+        names = ", ".join(sorted(reserved))
+        raise StudyError(f"arms.{name}: remove {names}, which the study sets for every run")
+    try:
+        return make_arm(settings, base)
+    except CaterpillarError as error:
+        raise StudyError(f"arms.{name}: {error}") from None
+
 
 def read_toml(path: Path) -> StudyConfig:
-    """The study that a TOML file describes.
+    """Read a study from a TOML file.
 
     Raises:
-        StudyError: no such file, no TOML, or no study in it.
+        StudyError: the file is missing, is not TOML, or does not describe a study.
     """
     missing = "give the TOML file of a study, or --preset"
     return read(path, StudyConfig.from_dict, StudyError, missing, tomllib.loads)
 
 
 def preset(name: str) -> StudyConfig:
-    """One of the studies that come with the package: paper, ablation, pilot, rl-pilot."""
+    """Read a study of this package: paper, ablation, pilot or rl-pilot."""
     return read_toml(Path(__file__).with_name("presets") / f"{name}.toml")
 
 
 def begin(config: StudyConfig, folder: Path) -> None:
-    """Make the study's folder, or see that it holds this study; arms and seeds may be added to it.
+    """Write a study's configuration into its folder, which is made or holds this study already.
+
+    An existing study may gain arms and seeds, but may not change otherwise.
 
     Raises:
-        StudyError: the folder holds something else, or cells of other settings.
+        StudyError: the folder holds something else, or the same study with other settings.
     """
     file = folder / SETTINGS
-    if not file.exists():
-        with writing(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-            if any(folder.iterdir()):
-                raise StudyError(f"{folder} is not empty and holds no study; choose another with --out")
-    else:
+    if file.exists():
         before = load(folder)
-        changed = [
-            name
-            for name in ("budget_s", "reference", "pilot_seeds", "threshold_shares")
-            if getattr(before, name) != getattr(config, name)
-        ]
-        changed += [f"arms.{a}" for a, c in before.arms.items() if config.arms.get(a, c) != c]
+        names = ("budget_s", "reference", "pilot_seeds", "threshold_shares")
+        changed = [name for name in names if getattr(before, name) != getattr(config, name)]
+        changed += [f"arms.{a}" for a, arm in before.arms.items() if config.arms.get(a, arm) != arm]
         if changed:
             raise StudyError(
-                f"{folder} holds a study with other {', '.join(changed)}; they cannot be compared: "
-                "choose another folder with --out"
+                f"{folder} holds a study with other {', '.join(changed)}, whose runs are not "
+                "comparable; choose another folder with --out"
             )
     with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        if not file.exists() and any(folder.iterdir()):
+            raise StudyError(f"{folder} is not empty and holds no study; choose another with --out")
         write_json(file, config.to_dict())
 
 
 def load(folder: Path) -> StudyConfig:
-    """The study that a folder holds.
+    """Read the study of a folder.
 
     Raises:
         StudyError: the folder holds no study, or one that cannot be read.
     """
     missing = "give a folder that caterpillar study made"
     return read(folder / SETTINGS, StudyConfig.from_dict, StudyError, missing)
-
-
-def is_finished(config: StudyConfig, cell: Cell, study: Path) -> bool:
-    """Whether a cell came to its end; a running one has not.
-
-    Raises:
-        ArmError: its run has other settings than the study asks for.
-    """
-    return config.arms[cell.arm].is_finished(cell.folder(study), cell.seed, config.budget_s)

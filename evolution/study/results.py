@@ -1,13 +1,12 @@
-"""What the finished runs of a study came to: their evaluations, and how each got along."""
+"""Results of a study: the evaluations of its finished runs, and how the runs progressed."""
 
 from __future__ import annotations
 
 import json
 import os
-import statistics
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars
@@ -15,132 +14,163 @@ from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.files import write_json
-from evolution.study.arms import COLUMNS
-from evolution.study.config import Cell, StudyConfig, is_finished
+from evolution.run.database import JournalError
+from evolution.run.history import History
+from evolution.study.arms import ArmError
+from evolution.study.config import Cell, StudyConfig
 
-DATA = "evaluations.parquet"  #: all evaluations of a study in one table
+DATA = "evaluations.parquet"  #: the file with all evaluations of a study
+_OUTCOME = {
+    "evaluation": polars.Int64, "generation": polars.Int64, "failure": polars.String,
+    "distance_m": polars.Float64, "energy_j": polars.Float64, "simulated_s": polars.Float64,
+}  # fmt: skip
 
 
-def collect(config: StudyConfig, folder: Path) -> tuple[polars.DataFrame, list[Cell]]:
-    """All evaluations of the finished cells in one table, and the cells that are not finished.
+class Results(NamedTuple):
+    """What the finished runs of a study recorded."""
 
-    Of runs that are not there, what the table of an earlier call holds is kept.
+    table: polars.DataFrame  #: one row per evaluation: arm, seed, wall_s, outcome, genes in SI units
+    missing: list[Cell]  #: runs that are not finished
+    environments: int  #: number of different sets of package versions and machines
+
+
+def read_finished(config: StudyConfig, cell: Cell, study: Path) -> History | None:
+    """Read a run of a study; None if there is none, or it is not finished or not readable.
+
+    Raises:
+        ArmError: the run was made with other settings.
+    """
+    folder = cell.folder(study)
+    try:
+        history = History.read(folder)
+    except JournalError:
+        return None  # running this cell reports what is wrong
+    if not config.arms[cell.arm].matches(history, cell.seed, config.budget_s):
+        raise ArmError(
+            f"{folder} was run with other settings; choose another folder for the study, or remove it"
+        )
+    return history if history.finished else None
+
+
+def collect(config: StudyConfig, folder: Path) -> Results:
+    """Read all finished runs of a study, and write their evaluations into `DATA`.
+
+    Runs whose folders are gone are taken from the `DATA` of an earlier call.
     """
     file = folder / DATA
-    kept = dict(_cells(polars.read_parquet(file))) if file.exists() else {}
-    parts, missing, new = [], [], False
+    kept = dict(_split(polars.read_parquet(file))) if file.exists() else {}
+    tables, missing, new = [], [], False
+    fingerprints: list[dict[str, str]] = []
     for cell in config.cells():
-        if not is_finished(config, cell, folder):
-            if cell in kept:
-                parts.append(kept[cell])
-            else:
-                missing.append(cell)
-            continue
-        new = True
-        arm, run = config.arms[cell.arm], cell.folder(folder)
-        rows = arm.evaluations(run).cast(COLUMNS)
-        outcome = rows.columns[: rows.columns.index("simulated_s") + 1]
-        genes = [polars.col(name).cast(polars.Float32) for name in rows.columns[len(outcome) :]]
-        who = (polars.lit(cell.arm).alias("arm"), polars.lit(cell.seed, polars.Int64).alias("seed"))
-        wall_s = polars.lit(arm.wall_s(run), polars.Float64).alias("wall_s")
-        parts.append(rows.select(*who, wall_s, *outcome, *genes))
-    frame = polars.concat(parts, how="diagonal") if parts else polars.DataFrame()
+        history = read_finished(config, cell, folder)
+        if history is not None:
+            new = True
+            tables.append(_to_table(cell, history))
+            fingerprints += [session.fingerprint for session in history.sessions]
+        elif cell in kept:
+            tables.append(kept[cell])
+        else:
+            missing.append(cell)
+    table = polars.concat(tables, how="diagonal") if tables else polars.DataFrame()
     if new:
         partial = folder / f".{DATA}.partial"
-        frame.write_parquet(partial, compression="zstd", compression_level=19)
+        table.write_parquet(partial, compression="zstd", compression_level=19)
         os.replace(partial, file)
-    return frame, missing
+    return Results(table, missing, _count_environments(fingerprints))
 
 
-def versions(config: StudyConfig, folder: Path) -> list[dict[str, str]]:
-    """The different versions and machines that finished cells ran under: one, if all compare."""
-    found: list[dict[str, str]] = []
-    for cell in config.cells():
-        if is_finished(config, cell, folder):
-            for session in config.arms[cell.arm].versions(cell.folder(folder)):
-                # Kinds of arms tell of different packages: only what both tell of can differ.
-                for one in found:
-                    if all(one.get(name, version) == version for name, version in session.items()):
-                        one.update(session)
-                        break
-                else:
-                    found.append(dict(session))
-    return found
+def _to_table(cell: Cell, history: History) -> polars.DataFrame:
+    rows = history.table()
+    genes = rows.columns[rows.columns.index("session") + 1 :]
+    return rows.select(
+        polars.lit(cell.arm).alias("arm"),
+        polars.lit(cell.seed, polars.Int64).alias("seed"),
+        polars.lit(history.wall_s, polars.Float64).alias("wall_s"),
+        *(polars.col(name).cast(kind) for name, kind in _OUTCOME.items()),
+        polars.col(genes).cast(polars.Float32),
+    )
 
 
-def thresholds(config: StudyConfig, folder: Path, frame: polars.DataFrame) -> list[float] | None:
-    """The distances (m) that runs are timed to: frozen when the pilot seeds are through, and kept.
-
-    Returns:
-        None as long as they are not; none at all if most pilot runs never crawled forwards.
-    """
-    file = folder / "thresholds.json"
-    if file.exists():
-        kept: list[float] = json.loads(file.read_text(encoding="utf-8"))["thresholds_m"]
-        return kept
-    finals = [
-        course.best_m[-1] for course in courses(frame, config, config.pilot_seeds)[config.reference]
-    ]
-    if len(finals) < len(config.pilot_seeds):
-        return None
-    middle = statistics.median(finals)
-    if middle <= 0:
-        return []
-    found = [float(share * middle) for share in config.threshold_shares]
-    data = {"thresholds_m": found, "reference": config.reference, "pilot_seeds": config.pilot_seeds}
-    write_json(file, data)
-    return found
+def _split(table: polars.DataFrame) -> Iterator[tuple[Cell, polars.DataFrame]]:
+    """The rows of each run, in their order."""
+    if table.is_empty():
+        return
+    for (arm, seed), rows in table.group_by("arm", "seed", maintain_order=True):
+        yield Cell(str(arm), int(seed)), rows.sort("evaluation")
 
 
-class Course(NamedTuple):
-    """One run over its simulated time; E evaluations within the budget."""
+def _count_environments(fingerprints: list[dict[str, str]]) -> int:
+    """Count different versions of what all fingerprints name: kinds of arms use different packages."""
+    shared = set.intersection(*map(set, fingerprints)) if fingerprints else set()
+    return len({tuple(fingerprint[name] for name in sorted(shared)) for fingerprint in fingerprints})
+
+
+class Run(NamedTuple):
+    """How one run progressed; arrays over its E evaluations within the budget."""
 
     seed: int
     spent_s: Array  #: simulated seconds after each evaluation, (E,)
-    best_m: Array  #: best distance so far, (E,)
-    generation: NDArray[np.int64]  #: of each evaluation, (E,)
-    generations: int  #: that were through within the budget
+    best_m: Array  #: greatest distance so far of a robot that did not fail, at least 0, (E,)
+    failure: NDArray[Any]  #: "ok" or the kind of failure, (E,)
+    generation: NDArray[np.int64]  #: (E,)
+    generations: int  #: number of generations completed within the budget
+    wall_s: float | None  #: wall time, if the run was never interrupted
 
     def reaches(self, distance_m: float, horizon_s: float) -> tuple[float, bool]:
-        """When it gets that far, s, and True; or `horizon_s` and False."""
-        there = np.flatnonzero(self.best_m >= distance_m)
-        return (float(self.spent_s[there[0]]), True) if there.size else (horizon_s, False)
+        """Return when the run reaches a distance, s, and True; or `horizon_s` and False."""
+        reached = np.flatnonzero(self.best_m >= distance_m)
+        return (float(self.spent_s[reached[0]]), True) if reached.size else (horizon_s, False)
 
     def at_generation(self, number: int) -> float:
-        """Best distance by the end of a generation, m; NaN if the budget ended before that."""
+        """Return the best distance by the end of a generation, m; NaN beyond the budget."""
         if number >= self.generations:
             return float("nan")
         return float(self.best_m[np.searchsorted(self.generation, number, side="right") - 1])
 
 
-def courses(
-    frame: polars.DataFrame, config: StudyConfig, seeds: tuple[int, ...]
-) -> dict[str, list[Course]]:
-    """The runs of each arm with these seeds."""
-    found: dict[str, list[Course]] = {arm: [] for arm in config.arms}
-    for (arm, seed), rows in _cells(frame):
-        if arm not in found or seed not in seeds:
+def read_runs(
+    table: polars.DataFrame, config: StudyConfig, seeds: Sequence[int]
+) -> dict[str, list[Run]]:
+    """Return the runs of each arm with these seeds."""
+    runs: dict[str, list[Run]] = {arm: [] for arm in config.arms}
+    for (arm, seed), rows in _split(table):
+        if arm not in runs or seed not in seeds:
             continue
-        spent = np.cumsum(rows["simulated_s"].to_numpy())
-        inside = spent <= config.budget_s
-        generation = rows["generation"].to_numpy()
-        through = int(generation[len(spent[inside])]) if not inside.all() else int(generation[-1]) + 1
-        healthy = (rows["failure"] == "ok").to_numpy()
-        crawled = np.where(healthy, np.maximum(rows["distance_m"].to_numpy(), 0.0), 0.0)
-        found[arm].append(
-            Course(
-                seed,
-                spent[inside],
-                np.maximum.accumulate(crawled)[inside],
-                generation[inside],
-                through,
+        spent_s = np.cumsum(rows["simulated_s"].to_numpy())
+        count = int(np.searchsorted(spent_s, config.budget_s, side="right"))
+        generation, failure = rows["generation"].to_numpy(), rows["failure"].to_numpy()
+        crawled_m = np.where(failure == "ok", np.maximum(rows["distance_m"].to_numpy(), 0.0), 0.0)
+        runs[arm].append(
+            Run(
+                seed=seed,
+                spent_s=spent_s[:count],
+                best_m=np.maximum.accumulate(crawled_m)[:count],
+                failure=failure[:count],
+                generation=generation[:count],
+                generations=int(generation[count] if count < len(rows) else generation[-1] + 1),
+                wall_s=rows["wall_s"][0],
             )
         )
+    return runs
+
+
+def read_thresholds(config: StudyConfig, folder: Path, table: polars.DataFrame) -> list[float] | None:
+    """Return the distances (m) that runs are timed to, which are written once and never change.
+
+    Returns:
+        None until all pilot runs are finished; an empty list if most of them never crawled forwards.
+    """
+    file = folder / "thresholds.json"
+    if file.exists():
+        kept: list[float] = json.loads(file.read_text(encoding="utf-8"))["thresholds_m"]
+        return kept
+    runs = read_runs(table, config, config.pilot_seeds)[config.reference]
+    if len(runs) < len(config.pilot_seeds):
+        return None
+    median_m = float(np.median([run.best_m[-1] for run in runs]))
+    if median_m <= 0:
+        return []
+    found = [share * median_m for share in config.threshold_shares]
+    data = {"thresholds_m": found, "reference": config.reference, "pilot_seeds": config.pilot_seeds}
+    write_json(file, data)
     return found
-
-
-def _cells(frame: polars.DataFrame) -> Iterator[tuple[Cell, polars.DataFrame]]:
-    if frame.is_empty():
-        return
-    for (arm, seed), rows in frame.group_by("arm", "seed", maintain_order=True):
-        yield Cell(str(arm), int(seed)), rows.sort("evaluation")

@@ -1,6 +1,7 @@
-"""What a study says of its runs: times to a threshold, some of them censored, and final fitness.
+"""Statistics of runs: times to a threshold, some of them censored, and final distances.
 
-Every function takes plain arrays, one value a run. Intervals are of 95 % unless asked otherwise.
+Every function takes plain arrays with one value per run. Confidence intervals are at the 95 % level
+unless another one is given.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ RESAMPLES = 4_999
 
 
 class Estimate(NamedTuple):
-    """A value with its confidence interval."""
+    """A value with its confidence interval; the bounds are NaN where no interval can be given."""
 
     value: float
     low: float
@@ -30,44 +31,43 @@ class Estimate(NamedTuple):
 
 
 class Survival(NamedTuple):
-    """Kaplan-Meier's share of runs that have not reached the threshold, a step function of time."""
+    """Kaplan-Meier estimate of the share of runs that have not reached the threshold, over time."""
 
-    time: Array  #: where it steps, ascending, (K,)
+    time: Array  #: where the step function changes, ascending, (K,)
     share: Array  #: from each time on, (K,)
     low: Array  #: Greenwood's interval on the log-log scale, (K,)
     high: Array
-    median: Estimate  #: infinite where fewer than half have reached it
+    median: Estimate  #: of the time; infinite where fewer than half of the runs reached the threshold
 
 
 def kaplan_meier(time: Array, reached: Flags, level: float = LEVEL) -> Survival:
-    """Share of runs still under way (Kaplan and Meier 1958), with Greenwood's log-log interval.
+    """Estimate the survival curve (Kaplan and Meier 1958), with Greenwood's log-log interval.
 
     Args:
-        time: when a run reached the threshold, or stopped short of it, (n,).
-        reached: which of the two, (n,).
-        level: of the interval.
+        time: when a run reached the threshold or was censored, (n,).
+        reached: True where it reached the threshold, False where it was censored, (n,).
+        level: confidence level of the intervals.
     """
-    function = _under_way(time, reached)
+    curve = stats.ecdf(_censored(time, reached)).sf
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the interval is undefined where the share is 0 or 1
-        interval = function.confidence_interval(level, method="log-log")
-    times, share = function.quantiles, function.probabilities
+        interval = curve.confidence_interval(level, method="log-log")
+    times, share = curve.quantiles, curve.probabilities
     low = np.where(np.isnan(interval.low.probabilities), share, interval.low.probabilities)
     high = np.where(np.isnan(interval.high.probabilities), 1.0, interval.high.probabilities)
-    # Where nobody is left the formula has no value; what is known is what was known before.
+    # Greenwood's formula is undefined at a share of 0: keep the last upper bound that is defined.
     last = int(np.argmax(share == 0)) if np.any(share == 0) else len(share)
     high[last:] = high[last - 1] if last else 1.0
-    # Brookmeyer and Crowley 1982: the median's interval is where the curve's covers one half.
-    median = Estimate(*(_first_below(times, curve) for curve in (share, low, high)))
-    if not np.any(reached):  # nothing tells when half of them would have
+    # Brookmeyer and Crowley 1982: the median's interval is where the band covers one half.
+    median = Estimate(*(_first_below(times, values) for values in (share, low, high)))
+    if not np.any(reached):
         median = Estimate(float("inf"), float("nan"), float("nan"))
     return Survival(times, share, low, high, median)
 
 
-def _under_way(time: Array, reached: Flags) -> Any:
-    """SciPy's Kaplan-Meier estimate."""
-    data = stats.CensoredData.right_censored(np.asarray(time, dtype=float), ~np.asarray(reached))
-    return stats.ecdf(data).sf
+def _censored(time: Array, reached: Flags) -> Any:
+    """Times as SciPy takes them."""
+    return stats.CensoredData.right_censored(np.asarray(time, dtype=float), ~np.asarray(reached))
 
 
 def _first_below(times: Array, share: Array) -> float:
@@ -76,32 +76,26 @@ def _first_below(times: Array, share: Array) -> float:
 
 
 def log_rank(time_a: Array, reached_a: Flags, time_b: Array, reached_b: Flags) -> float:
-    """P value of two groups having one distribution of times (Mantel 1966)."""
+    """P value for equal distributions of times in two groups (Mantel 1966); 1 where it is undefined."""
     if not (np.any(reached_a) or np.any(reached_b)):
-        return 1.0  # nobody got there: nothing tells them apart
-    first, second = (
-        stats.CensoredData.right_censored(np.asarray(t, dtype=float), ~np.asarray(r))
-        for t, r in ((time_a, reached_a), (time_b, reached_b))
-    )
+        return 1.0
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # all at one moment: undefined, and telling nothing
-        p = float(stats.logrank(first, second).pvalue)
+        warnings.simplefilter("ignore")  # undefined where all times are equal
+        p = float(stats.logrank(_censored(time_a, reached_a), _censored(time_b, reached_b)).pvalue)
     return p if np.isfinite(p) else 1.0
 
 
 def expected_running_time(time: Array, reached: Flags) -> float:
-    """Time spent by all runs over the number of those that got there (Hansen et al. 2021, ERT)."""
+    """ERT: total time of all runs per run that reached the threshold (Hansen et al. 2021)."""
     successes = int(np.count_nonzero(reached))
     return float(np.sum(time)) / successes if successes else float("inf")
 
 
-def restricted_mean_time(time: Array, reached: Flags, horizon: float) -> float:
-    """Mean time to the threshold, none counted as more than `horizon`: area below the survival curve."""
-    curve = _under_way(time, reached)
-    inside = curve.quantiles < horizon
-    edges = np.concatenate([[0.0], curve.quantiles[inside], [horizon]])
-    heights = np.concatenate([[1.0], curve.probabilities[inside]])
-    return float(np.sum(np.diff(edges) * heights))
+def speed_up(time: Array, reached: Flags, reference_time: Array, reference_reached: Flags) -> float:
+    """ERT of the reference over ERT of the group; NaN where no run of either reached the threshold."""
+    ert = expected_running_time(time, reached)
+    reference_ert = expected_running_time(reference_time, reference_reached)
+    return float("nan") if np.isinf(ert) and np.isinf(reference_ert) else reference_ert / ert
 
 
 def bootstrap(
@@ -112,48 +106,39 @@ def bootstrap(
     level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> Estimate:
-    """A statistic of groups of runs, with the percentile interval of the bootstrap.
+    """Estimate a statistic of groups of runs with the percentile interval of the bootstrap.
 
-    Where the statistic is infinite or undefined (nobody reached the threshold), no interval can be had
-    by drawing runs anew: its ends are NaN. Draws in which it is undefined are left out.
+    The interval is NaN where the statistic is infinite or undefined. Resamples in which it is undefined
+    are left out.
 
     Args:
         statistic: takes the arrays of the first group, then those of the next.
-        groups: arrays of one length within a group; the runs of each are drawn anew, with replacement.
-        rng: draws.
-        level: of the interval.
-        resamples: how often.
+        groups: arrays of one length within a group; the runs of each group are resampled together.
+        rng: source of randomness.
+        level: confidence level of the interval.
+        resamples: number of resamples.
     """
     value = statistic(*(array for group in groups for array in group))
     if not np.isfinite(value):
         return Estimate(value, float("nan"), float("nan"))
-    drawn = np.empty(resamples)
+    values = np.empty(resamples)
     for i in range(resamples):
         arrays = []
         for group in groups:
             rows = rng.integers(0, len(group[0]), len(group[0]))
             arrays += [array[rows] for array in group]
-        drawn[i] = statistic(*arrays)
+        values[i] = statistic(*arrays)
     tail = (1.0 - level) / 2
-    # Infinite times (nobody reached it) are values like others: no interpolation between them.
-    drawn = np.sort(drawn[~np.isnan(drawn)])
-    low, high = (drawn[round(q * (len(drawn) - 1))] for q in (tail, 1.0 - tail))
+    # A resample may be infinite (no run reached the threshold): take quantiles without interpolation.
+    values = np.sort(values[~np.isnan(values)])
+    low, high = (values[round(q * (len(values) - 1))] for q in (tail, 1.0 - tail))
     return Estimate(value, float(low), float(high))
 
 
-def speed_up(time: Array, reached: Flags, reference_time: Array, reference_reached: Flags) -> float:
-    """How many times faster than the reference: the ratio of the expected running times."""
-    ours = expected_running_time(time, reached)
-    theirs = expected_running_time(reference_time, reference_reached)
-    if np.isinf(ours) and np.isinf(theirs):
-        return float("nan")
-    return theirs / ours
-
-
 def a12(a: Array, b: Array, level: float = LEVEL) -> Estimate:
-    """Probability that a run of `a` beats one of `b`, ties half (Vargha and Delaney 2000).
+    """Probability that a run of `a` beats one of `b`, ties count half (Vargha and Delaney 2000).
 
-    The interval is Newcombe's fifth (2006): it does not collapse where one group beats the other always.
+    The interval is Newcombe's fifth method (2006): it keeps a width where one group always wins.
     """
     u = stats.mannwhitneyu(a, b).statistic
     pairs = len(a) * len(b)
@@ -166,25 +151,19 @@ def a12(a: Array, b: Array, level: float = LEVEL) -> Estimate:
         spread *= 1 + others * ((1 - theta) / (2 - theta) + theta / (1 + theta))
         return (value - theta) ** 2 - z * z * spread
 
-    inside = min(max(value, 1e-12), 1 - 1e-12)  # at 0 and 1 themselves the spread vanishes
+    inside = min(max(value, 1e-12), 1 - 1e-12)  # the spread vanishes at exactly 0 and 1
     low = 0.0 if value == 0 else float(optimize.brentq(excess, 0.0, inside))
     high = 1.0 if value == 1 else float(optimize.brentq(excess, inside, 1.0))
     return Estimate(value, low, high)
 
 
 def mann_whitney(a: Array, b: Array) -> float:
-    """P value of two groups having one distribution; exact for small groups without ties."""
+    """P value for equal distributions of two groups; exact for small groups without ties."""
     return float(stats.mannwhitneyu(a, b).pvalue)
 
 
-def wilcoxon(a: Array, b: Array) -> float:
-    """P value of paired differences being symmetric about zero (Wilcoxon's signed ranks)."""
-    difference = np.asarray(a) - np.asarray(b)
-    return float(stats.wilcoxon(difference).pvalue) if np.any(difference) else 1.0
-
-
 def holm(p: Sequence[float]) -> Array:
-    """P values of a family of tests, corrected for their number (Holm 1979)."""
+    """P values of a family of tests, corrected for the number of tests (Holm 1979)."""
     values = np.asarray(p, dtype=float)
     order = np.argsort(values)
     steps = np.maximum.accumulate(values[order] * np.arange(len(values), 0, -1))
@@ -193,17 +172,12 @@ def holm(p: Sequence[float]) -> Array:
     return corrected
 
 
-def interquartile_mean(values: Array) -> float:
-    """Mean of the middle half (Agarwal et al. 2021, IQM)."""
-    return float(stats.trim_mean(values, 0.25))
-
-
 def target_ecdf(times: Array, grid: Array) -> Array:
-    """Share of (run, target) pairs reached by each time of `grid`.
+    """Share of (run, target) pairs reached by each time of `grid`, (T,).
 
     Args:
-        times: of reaching each target, infinite if never, (runs, targets).
-        grid: (T,).
+        times: when each run reached each target, infinite if never, (runs, targets).
+        grid: times, (T,).
     """
     flat = np.sort(np.ravel(times))
     share: Array = np.searchsorted(flat, grid, side="right") / flat.size

@@ -1,4 +1,4 @@
-"""Each arm's best robot, looked at again: does it hold at a finer timestep, and as another robot?"""
+"""Simulates the best robot of each arm again: at a finer timestep, and as slightly different robots."""
 
 from __future__ import annotations
 
@@ -11,85 +11,72 @@ from typing import Any, NamedTuple, cast
 from caterpillar_env.files import write_json
 from caterpillar_env.robot import AnyRobot
 from caterpillar_env.task import label
-from evolution.study.config import Cell, StudyConfig, is_finished
+from evolution.study.analysis import Analysis
+from evolution.study.config import Cell
 
 REFERENCE_TIMESTEP_S = 0.00025  #: see docs/physics.md
-ARTEFACT_SHARE = 0.1  #: a winner whose distance changes by more at the reference timestep is one
+ARTEFACT_SHARE = 0.1  #: greatest change of distance at the reference timestep
 FRICTIONS = (0.6, 0.7, 0.9, 1.0)
 MISMATCH_SEEDS = (1001, 1002, 1003, 1004)
 
 
 class Winner(NamedTuple):
-    """An arm's best robot, looked at again."""
+    """The best robot of an arm, simulated again. Ranges are the least and the greatest distance."""
 
     arm: str
     seed: int
     recorded_m: float
-    reference_m: float  #: at the reference timestep
-    failure: str  #: there
-    friction_m: tuple[float, float]  #: least and greatest over other frictions; a failure counts as 0
-    mismatch_m: tuple[float, float] | None  #: likewise over other draws of the springs' strengths
-    timestep_s: float  #: that it was evolved at
-    friction: float  #: likewise
+    reference_m: float  #: distance at the reference timestep
+    failure: str  #: at the reference timestep; "ok" for none
+    friction_m: tuple[float, float]  #: over `FRICTIONS`; a failure counts as 0
+    mismatch_m: tuple[float, float] | None  #: over `MISMATCH_SEEDS`; None if the springs are not random
+    timestep_s: float  #: of the evolution
+    friction: float  #: of the evolution
 
     @property
     def artefact(self) -> bool:
-        """Whether it does not hold at the reference timestep."""
+        """Whether the robot fails, or its distance changes, at the reference timestep."""
         change = abs(self.reference_m - self.recorded_m)
         return self.failure != "ok" or change > ARTEFACT_SHARE * self.recorded_m
 
 
-def winners(config: StudyConfig, folder: Path) -> list[Winner]:
-    """Each arm's best robot, simulated anew at the reference timestep and as slightly other robots.
+def find_winners(analysis: Analysis, folder: Path) -> list[Winner]:
+    """Simulate each arm's best robot within the budget again, unless this was done before.
 
-    The robots are kept as `winners/ARM.json`, the results as `winners/winners.json`; what is known of
-    a robot is not computed again.
+    Robots are saved as `winners/ARM.json` in the study's folder, results as `winners/winners.json`.
     """
-    kept = folder / "winners"
-    file = kept / "winners.json"
+    file = folder / "winners" / "winners.json"
     known = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
-    found = []
-    for arm in config.arms:
-        best = [_best(config, Cell(arm, seed), folder) for seed in config.seeds]
-        robots = [robot for robot in best if robot is not None]
-        if not robots:
-            if arm in known:  # the runs themselves are not there
-                found.append(_winner(known[arm]))
-            continue
-        seed, robot = max(robots, key=lambda pair: pair[1].fitness_m or 0.0)
-        if arm not in known or known[arm]["recorded_m"] != robot.fitness_m:
-            kept.mkdir(exist_ok=True)
-            robot.save(kept / f"{arm}.json")
-            known[arm] = _look_again(arm, seed, robot)._asdict()
+    winners = []
+    for arm, runs in analysis.runs.items():
+        best = max(runs, key=lambda run: run.best_m[-1])
+        best_m = float(best.best_m[-1])
+        run_folder = Cell(arm, best.seed).folder(folder)
+        if best_m > 0 and run_folder.exists() and known.get(arm, {}).get("recorded_m") != best_m:
+            robot = analysis.config.arms[arm].robot(run_folder, int(best.best_m.argmax()))
+            file.parent.mkdir(exist_ok=True)
+            robot.save(file.with_name(f"{arm}.json"))
+            known[arm] = simulate_again(arm, best.seed, robot)._asdict()
             write_json(file, known)
-        found.append(_winner(known[arm]))
-    return found
+        if arm in known:
+            ranges = {key: value and tuple(value) for key, value in known[arm].items() if key in _RANGES}
+            winners.append(Winner(**known[arm] | ranges))
+    return winners
 
 
-def _best(config: StudyConfig, cell: Cell, folder: Path) -> tuple[int, AnyRobot] | None:
-    """A finished run's seed and best robot within the budget, if one crawled forwards."""
-    if not is_finished(config, cell, folder):
-        return None
-    robot = config.arms[cell.arm].best(cell.folder(folder), config.budget_s)
-    return None if robot is None else (cell.seed, robot)
+_RANGES = ("friction_m", "mismatch_m")
 
 
-def _winner(data: dict[str, Any]) -> Winner:
-    low_high = {name: data[name] and tuple(data[name]) for name in ("friction_m", "mismatch_m")}
-    return Winner(**{**data, **low_high})
-
-
-def _look_again(arm: str, seed: int, robot: AnyRobot) -> Winner:
+def simulate_again(arm: str, seed: int, robot: AnyRobot) -> Winner:
+    """Simulate a robot at the reference timestep, and under other frictions and spring strengths."""
     fine = robot.simulate(REFERENCE_TIMESTEP_S)
-    drawn = robot.physics.spring_strengths is None and robot.physics.mismatch_std > 0
+    random_springs = robot.physics.spring_strengths is None and robot.physics.mismatch_std > 0
 
-    def swing(name: str, values: Sequence[float]) -> tuple[float, float]:
-        others = [
-            replace(cast(Any, robot), physics=replace(robot.physics, **{name: value})).simulate()  # type: ignore[arg-type]
-            for value in values
-        ]
-        distances = [float(o.fitness()[0]) for o in others]
-        return min(distances), max(distances)
+    def measure_range(name: str, values: Sequence[float]) -> tuple[float, float]:
+        changed = [replace(robot.physics, **{name: value}) for value in values]  # type: ignore[arg-type]
+        robots = [replace(cast(Any, robot), physics=physics) for physics in changed]
+        distances_m = [float(other.simulate().fitness()[0]) for other in robots]
+        return min(distances_m), max(distances_m)
 
     return Winner(
         arm=arm,
@@ -97,9 +84,8 @@ def _look_again(arm: str, seed: int, robot: AnyRobot) -> Winner:
         recorded_m=robot.fitness_m or 0.0,
         reference_m=float(fine.distance_m[0]),
         failure=label(fine.failure[0]),
-        friction_m=swing("friction", FRICTIONS),
-        # Measured or equal springs are not drawn.
-        mismatch_m=swing("mismatch_seed", MISMATCH_SEEDS) if drawn else None,
+        friction_m=measure_range("friction", FRICTIONS),
+        mismatch_m=measure_range("mismatch_seed", MISMATCH_SEEDS) if random_springs else None,
         timestep_s=robot.physics.timestep_s,
         friction=robot.physics.friction,
     )

@@ -1,50 +1,58 @@
-"""What a run that is an arm's says of itself, of made-up records whose answers are known."""
+"""Arms of a study: their settings and the runs that they recognize."""
 
 import numpy as np
 import pytest
 
 from caterpillar_env.robot import Outcomes
-from caterpillar_env.task import Failure
 from evolution.config import RunConfig
+from evolution.run.history import History
 from evolution.run.journal import Journal
-from evolution.study.arms import EvolutionArm, Standing
+from evolution.study.arms import ArmError, EvolutionArm, make_arm, merge
 
-ARM = EvolutionArm(RunConfig())
+ARM = EvolutionArm(RunConfig(prior="uniform"))
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Robots that crawl 10 mm, tip over at 500, crawl 30 mm, and 900 once 100 s are spent."""
+    """A run of seed 3 with a budget of 80 s and two evaluations."""
     folder = tmp_path_factory.mktemp("arm")
-    outcomes = Outcomes(
-        np.array([0, Failure.TIPPED, 0, 0], dtype=np.int8), np.array([0.01, 0.95, 0.03, 0.9]),
-        np.ones(4), np.array([30.0, 10.0, 30.0, 30.0]),
-    )  # fmt: skip
-    with Journal.create(folder, ARM.run_config(0, 80.0).to_dict()) as journal:
-        journal.append(0, 0, np.tile(np.linspace(0.1, 0.4, 4)[:, None], 20), outcomes, journal.begin())
+    outcomes = Outcomes(np.zeros(2, dtype=np.int8), *np.array([[0.01, 0.03], [1.0, 1.0], [30.0, 30.0]]))
+    with Journal.create(folder, ARM.run_config(3, 80.0).to_dict()) as journal:
+        journal.begin()
+        History(journal).append(np.tile([[0.1], [0.3]], 20), outcomes)
     return folder
 
 
-@pytest.mark.parametrize(
-    ("budget_s", "best_m"), [(20.0, None), (40.0, 0.01), (80.0, 0.03), (100.0, 0.9)]
-)
-def test_best_robot_did_not_fail_and_is_of_within_the_budget(run, budget_s, best_m):
-    robot = ARM.best(run, budget_s)
-    assert (robot and robot.fitness_m) == best_m
-    if best_m == 0.03:
-        assert robot.morphology.to_unit() == pytest.approx([0.3] * 8)
+def test_nested_tables_are_merged_and_other_values_replaced():
+    base = {"a": 1, "b": {"c": 2, "d": [3]}}
+    assert merge(base, {"b": {"d": [4]}, "e": 5}) == {"a": 1, "b": {"c": 2, "d": [4]}, "e": 5}
+    assert base == {"a": 1, "b": {"c": 2, "d": [3]}}
 
 
-def test_standing_counts_no_failure(run, tmp_path):
-    assert ARM.standing(run) == Standing(100.0, 0.9)
-    assert ARM.standing(tmp_path) == Standing(0.0, 0.0)  # not begun
+def test_kind_of_an_arm_must_be_installed():
+    assert make_arm({"prior": "uniform"}, {}) == ARM
+    with pytest.raises(ArmError, match="kind = 'magic' must be one of evolution"):
+        make_arm({"kind": "magic"}, {})
 
 
-def test_run_that_is_gone_on_with_is_not_finished(run):
-    """One that came to its end, was made longer and then stopped, say."""
-    with Journal(run) as journal:
-        journal.finish(journal.begin())
-    assert ARM.is_finished(run, 0, 80.0)
-    with Journal(run) as journal:
-        journal.begin()
-    assert not ARM.is_finished(run, 0, 80.0)
+def test_title_names_optimizer_and_prior():
+    assert ARM.title == "the genetic algorithm with uniform distributions"
+
+
+def test_runs_of_an_arm_differ_in_their_seed_only():
+    run = ARM.run_config(1, 240)
+    assert (run.seed, run.budget_s, run.prior) == (1, 240, "uniform")
+
+
+def test_recorded_run_matches_its_arm_seed_and_budget(run):
+    history = History.read(run)
+    assert ARM.matches(history, 3, 80.0)
+    assert not ARM.matches(history, 4, 80.0)
+    assert not ARM.matches(history, 3, 90.0)
+    assert not EvolutionArm(RunConfig()).matches(history, 3, 80.0)
+
+
+def test_robot_of_an_evaluation(run):
+    robot = ARM.robot(run, 1)
+    assert robot.fitness_m == 0.03
+    assert robot.morphology.to_unit() == pytest.approx([0.3] * 8)

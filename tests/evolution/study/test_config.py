@@ -1,4 +1,4 @@
-"""What a study asks."""
+"""Configuration of a study: reading, defaults, warnings and errors."""
 
 import json
 import re
@@ -7,12 +7,7 @@ from pathlib import Path
 import pytest
 
 from caterpillar_env.errors import CaterpillarError
-from evolution.study.config import (
-    Cell,
-    StudyConfig,
-    preset,
-    read_toml,
-)
+from evolution.study.config import Cell, StudyConfig, StudyError, begin, preset, read_toml
 
 SMALL = {
     "seeds": [0, 1],
@@ -39,12 +34,12 @@ def test_toml_and_plain_data_describe_the_same_study():
     assert read_toml(TOML) == StudyConfig.from_dict(SMALL)
 
 
-def test_a_study_survives_json():
+def test_study_survives_json():
     config = StudyConfig.from_dict(SMALL)
     assert StudyConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
 
 
-def test_arms_are_what_they_have_in_common_and_what_is_special():
+def test_settings_of_an_arm_are_merged_into_the_base():
     arms = StudyConfig.from_dict(SMALL).arms
     assert {arm.config.ga.population for arm in arms.values()} == {4}
     assert arms["ga-uniform"].config.prior == "uniform"
@@ -53,59 +48,105 @@ def test_arms_are_what_they_have_in_common_and_what_is_special():
 
 
 @pytest.mark.parametrize("name", ["paper", "ablation", "pilot"])
-def test_presets_are_whole(name):
+def test_presets_are_complete_and_raise_no_warnings(name):
     config = preset(name)
     assert {"ga-uniform", "ga-preprocessed"} <= set(config.arms)
     assert not set(config.seeds) & set(config.pilot_seeds)
+    assert config.warnings() == []
 
 
-def test_pilot_holds_the_controls():
-    assert {"ga-mirrored", "random-preprocessed", "cma-es-uniform", "cma-es-preprocessed"} <= set(
-        preset("pilot").arms
-    )
+def test_pilot_includes_the_controls():
+    controls = {"ga-mirrored", "random-preprocessed", "cma-es-uniform", "cma-es-preprocessed"}
+    assert controls <= set(preset("pilot").arms)
 
 
-def test_cells_of_a_seed_differ_in_their_arm_alone():
+def test_pilot_runs_come_first():
     config = StudyConfig.from_dict(SMALL)
     assert len(config.cells()) == 1 + 2 * 2
     assert config.cells()[0] == Cell("ga-uniform", 8)
-    run = config.arms["cma-es"].run_config(1, config.budget_s)
-    assert (run.seed, run.budget_s, run.optimizer) == (1, 240, "cma-es")
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        (
+            {"budget_s": 119},
+            "arms.cma-es: the first generation may not be completed: it takes up to",
+        ),
+        ({"budget_s": 209}, "arms.ga-uniform: generation 1, at which arms are compared, may not"),
+        ({"budget_s": 210}, None),  # 4 evaluations and 3 more, 30 s each
+    ],
+)
+def test_budget_that_is_too_short_is_warned_of(fields, message):
+    warnings = StudyConfig.from_dict(changed(**fields)).warnings()
+    if message is None:
+        assert warnings == []
+    else:
+        assert any(warning.startswith(message) for warning in warnings)
+
+
+def test_generations_are_comparable_within_one_algorithm():
+    assert list(StudyConfig.from_dict(SMALL).comparable()) == ["ga-uniform"]
+    assert list(preset("ablation").comparable()) == [
+        "ga-uniform", "ga-preprocessed", "ga-init-only", "ga-mutation-only", "ga-mirrored",
+    ]  # fmt: skip
+
+
+def test_arms_and_seeds_can_be_added_to_a_study(tmp_path):
+    config = StudyConfig.from_dict(SMALL)
+    begin(config, tmp_path)
+    arms = {**SMALL["arms"], "random": {"optimizer": "random"}}
+    begin(StudyConfig.from_dict(changed(arms=arms, seeds=[0, 1, 2])), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"budget_s": 300}, "a study with other budget_s"),
+        ({"arms": {**SMALL["arms"], "cma-es": {"optimizer": "random"}}}, "with other arms.cma-es"),
+    ],
+    ids=str,
+)
+def test_other_settings_of_an_existing_study_are_rejected(tmp_path, fields, message):
+    begin(StudyConfig.from_dict(SMALL), tmp_path)
+    with pytest.raises(StudyError, match=re.escape(message)):
+        begin(StudyConfig.from_dict(changed(**fields)), tmp_path)
+
+
+def test_folder_with_other_files_is_rejected(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(StudyError, match="is not empty and holds no study"):
+        begin(StudyConfig.from_dict(SMALL), tmp_path)
 
 
 @pytest.mark.parametrize(
     ("data", "message"),
     [
         (changed(arms={}), "a study needs arms"),
-        (changed(seeds=[]), "seeds must be different whole numbers from 0, at least one; got []"),
-        (changed(seeds=[1, 1]), "seeds must be different"),
-        (changed(seeds=3), "seeds must be a list; got 3"),
+        (changed(seeds=[]), "seeds must be a list of different integers from 0; got ()"),
+        (changed(seeds=[1, 1]), "seeds must be a list of different"),
+        (changed(seeds=3), "seeds must be a list of different integers from 0; got 3"),
         (changed(pilot_seeds=[0]), "seeds [0] are pilot seeds too"),
-        (changed(reference="best"), "reference = 'best' is no arm; arms are ga-uniform"),
-        (
-            changed(budget_s=0),
-            "budget_s = 0 must be at least 30",
-        ),
-        (changed(threshold_shares=[]), "threshold_shares must be positive"),
-        (changed(generation="x"), "generation = 'x' must be a whole number"),
-        (changed(arms={"a/b": {}}), "reference = 'ga-uniform' is no arm"),
-        (changed(arms={**SMALL["arms"], "a/b": {}}), "an arm's name is a folder's too"),
-        (changed(luck=1), "a study has no luck; it has base, arms, budget_s"),
+        (changed(reference="best"), "reference = 'best' must be one of the arms ga-uniform"),
+        (changed(budget_s=0), "budget_s = 0 must be at least 30"),
+        (changed(budget_s="long"), "budget_s = 'long' must be at least 30"),
+        (changed(threshold_shares=[]), "threshold_shares must be a list of positive"),
+        (changed(generation="x"), "generation = 'x' must be an integer"),
+        (changed(arms={**SMALL["arms"], "a/b": {}}), "the name of an arm is used for a folder"),
+        (changed(luck=1), "a study has no luck; its fields are base, arms, seeds"),
         ({k: v for k, v in SMALL.items() if k != "seeds"}, "a study needs seeds"),
-        (changed(arms={"ga-uniform": {"seed": 3}}), "seed is the study's to say"),
+        (changed(arms={"ga-uniform": {"seed": 3}}), "remove seed, which the study sets"),
         (
             changed(arms={"ga-uniform": {"target_m": 0.1}}),
-            "arms.ga-uniform: target_m = 0.1 would end runs early",
+            "arms.ga-uniform: target_m = 0.1 would end runs before their budget",
         ),
+        (changed(arms=3), "arms must be a table"),
         (changed(arms={"ga-uniform": 3}), "arms.ga-uniform must be a table"),
         (changed(arms={"ga-uniform": {"prior": "hopeful"}}), "arms.ga-uniform: prior = 'hopeful'"),
-        (
-            changed(arms={"ga-uniform": {"hope": 1}}),
-            "arms.ga-uniform: a run's configuration has no",
-        ),
+        (changed(arms={"ga-uniform": {"hope": 1}}), "arms.ga-uniform: a run's configuration has no"),
     ],
     ids=lambda value: value[:30] if isinstance(value, str) else "",
 )
-def test_unusable_studies_are_refused(data, message):
+def test_unusable_studies_are_rejected(data, message):
     with pytest.raises(CaterpillarError, match=re.escape(message)):
         StudyConfig.from_dict(data)
