@@ -135,9 +135,8 @@ def test_path_keeps_few_points(renderer, start):
 
 
 def test_rows_are_drawn_with_the_bodies_and_paths_that_they_have():
-    crawl = Crawl(2, Physics(), 1)
+    crawl = Crawl([Morphology(), SMALL], Physics(), 1)
     pictures = Pictures(crawl, View(WIDTH, HEIGHT), overlay=True)
-    crawl.reset([Morphology(), SMALL])
     frames = [pictures.draw(row, "rgb_array") for row in (0, 1)]
     assert [pictures.renderer(row).body for row in (0, 1)] == [Morphology(), SMALL]
     assert len(pictures.renderer(0).path) == 1
