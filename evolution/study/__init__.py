@@ -1,6 +1,6 @@
-"""Studies: arms times seeds at one budget, and what they amount to.
+"""Studies: several configurations (arms) with several seeds each, at one budget of simulated time.
 
-`config` says what is asked, `arms` who runs it, `cells` where; `results` collects what came out,
-`statistics` has the formulas, `analysis` the tables, `headline` the sentences; `winners` looks at the
-best robots again, `report` writes figures and page.
+`config` describes a study, `arms` the kinds of runs, and `cells` runs them. `results` reads the finished
+runs, `statistics` has the formulas, `analysis` compares the arms, `winners` simulates their best robots
+again, and `report` writes figures and a page.
 """

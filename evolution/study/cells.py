@@ -129,7 +129,7 @@ class RayTasks:
         """
         import ray
 
-        reference = ray.remote(num_cpus=1, max_retries=-1)(task).remote()
+        reference = ray.remote(num_cpus=1, max_retries=-1)(_call).remote(task)
         self._tasks.append(reference)
         try:
             ray.get(reference)
@@ -138,6 +138,10 @@ class RayTasks:
             raise CellError(f"{type(cause).__name__}: {cause}") from None
         finally:
             self._tasks.remove(reference)
+
+
+def _call(task: _Task) -> None:
+    task()
 
 
 class Progress(NamedTuple):
