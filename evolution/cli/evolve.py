@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,31 +26,25 @@ class EvolveArgs:
     """Evolve body and gait. Without options: the paper's run, 200 genomes for 50 generations."""
 
     preset: Literal["paper", "quick"] = "paper"
-    """quick: 20 genomes for 6 generations, about a minute on two cores. Other flags change a preset."""
+    """Defaults of the other options. quick: 20 genomes, 6 generations; a minute on two cores."""
     out: Path | None = None
-    """Run folder to make; by default a new one under runs/."""
+    """Run folder to create; by default a new one under runs/."""
     workers: WorkerArgs = field(default_factory=WorkerArgs)
     config: RunConfig = field(default_factory=RunConfig)
 
 
 def evolve_command(argv: Sequence[str]) -> int:
     """Evolve body and gait: genetic algorithm, CMA-ES or random search."""
-    args = cli.parse(EvolveArgs, argv, "evolve", EvolveArgs(config=PRESETS[_preset(argv)]))
-    config = args.config
+    preset = argparse.ArgumentParser("caterpillar evolve", add_help=False, allow_abbrev=False)
+    preset.add_argument("--preset", choices=PRESETS, default="paper")
+    defaults = EvolveArgs(config=PRESETS[preset.parse_known_args(argv)[0].preset])
+    args = cli.parse(EvolveArgs, argv, "evolve", defaults)
+    config, workers, console = args.config, args.workers, cli.console()
     folder = args.out or unused(Path("runs"), f"{config.optimizer}-{config.prior}-seed{config.seed}")
-    console = cli.console()
-    workers = args.workers
-    with Reporter(config, console) as reporter, workers.following(reporter, folder) as told:
-        result = evolve(
-            config, folder, evaluator=workers.make(), on_generation=told, on_progress=reporter.progress,
+    reporter = Reporter(config, console)
+    with workers.follow(reporter, folder) as on_generation:
+        history = evolve(
+            config, folder, evaluator=workers.make_evaluator(), on_generation=on_generation,
+            on_progress=reporter.progress,
         )  # fmt: skip
-    return finish(result, config, folder, console, video=args.workers.video)
-
-
-def _preset(argv: Sequence[str]) -> str:
-    """The preset named in the arguments: it makes the defaults for all other flags."""
-    for flag, value in itertools.pairwise([*argv, ""]):
-        name = value if flag == "--preset" else flag.removeprefix("--preset=")
-        if flag.startswith("--preset") and name in PRESETS:
-            return name
-    return "paper"
+    return finish(history, console, video=workers.video)

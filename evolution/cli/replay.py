@@ -1,4 +1,4 @@
-"""The subcommand `replay`: recorded robots once more, compared with their records, and on video."""
+"""`caterpillar replay`."""
 
 from __future__ import annotations
 
@@ -22,30 +22,31 @@ from evolution.run.history import History
 
 @dataclass(frozen=True)
 class ReplayArgs:
-    """Simulate recorded robots once more, compare with their records, and make a video.
+    """Simulate recorded robots again, compare them with their records, and make a video.
 
-    Several robots are shown side by side. The film of an evolution shows the best robot of a run
-    after some of its generations: `caterpillar replay RUN --generations 0 5 10 25 50`.
+    Several robots are shown side by side. To film an evolution, show the best robots after some of its
+    generations: `caterpillar replay RUN --generations 0 5 10 25 50`.
     """
 
     source: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Run folders, or JSON files of one robot each (best.json)."""
     generations: tuple[int, ...] = ()
-    """Of one run, named before the flag: show the best robot so far after each of these generations."""
+    """Show the best robot after each of these generations of one run; give the run folder first."""
     timestep_s: float | None = None
-    """Another timestep than the recorded one, in s: 0.0005, say."""
+    """Timestep in s, such as 0.0005; by default the recorded one."""
     json: bool = False
-    """Print JSON instead of sentences; for several robots a list."""
+    """Print JSON instead of text; a list for several robots."""
     video: bool = True
     """Write a video."""
     out: Path | None = None
-    """File to write, .mp4 or .gif; by default replay.mp4 or film.mp4 beside the source, or here."""
+    """Video file, .mp4 or .gif; by default replay.mp4 or film.mp4 beside the source or, for several
+    sources, replay.mp4 in the current folder."""
     picture: VideoConfig = field(default_factory=VideoConfig)
 
     def __post_init__(self) -> None:
         if not self.source:
             raise CaterpillarError(
-                "give a run folder or the JSON file of a robot (best.json), or several"
+                "give one or more run folders or JSON files of a robot (best.json) to replay"
             )
         if self.generations and (len(self.source) > 1 or min(self.generations) < 0):
             raise CaterpillarError(
@@ -53,29 +54,27 @@ class ReplayArgs:
                 f"{' '.join(map(str, self.source))} and {' '.join(map(str, self.generations))}"
             )
         if self.out is not None and not self.video:
-            raise CaterpillarError(
-                f"--out {self.out} names a video, and --no-video wants none: give one of them"
-            )
+            raise CaterpillarError("--out names a video, which --no-video excludes: remove one of them")
 
 
 def replay_command(argv: Sequence[str]) -> int:
     """Simulate recorded robots again, and make a video."""
     args = cli.parse(ReplayArgs, argv, "replay")
-    robots = _robots(args)
-    out = args.out or _beside(args)
+    robots = _load_robots(args)
+    out = args.out or _default_video(args)
     if args.video:
         check_path(out)
         args.picture.layout(len(robots))
-    recordings, told = [], []
+    recordings, comparisons = [], []
     for title, robot in robots:
         recording = Recording(robot, title, timestep_s=args.timestep_s)
         recordings.append(recording)
-        said = _compared(recording, args.timestep_s)
-        told.append({"title": title, **said} if len(robots) > 1 else said)
+        comparisons.append({"title": title, **_compare(recording, args.timestep_s)})
         if not args.json:
-            print(f"{title}: " * (len(robots) > 1) + _sentence(said))
+            prefix = f"{title}: " if len(robots) > 1 else ""
+            print(prefix + _describe(comparisons[-1]))
     if args.json:
-        print(json.dumps(told if len(robots) > 1 else told[0], indent=2))
+        print(json.dumps(comparisons if len(robots) > 1 else comparisons[0], indent=2))
     if args.video:
         print(f"writing {out} ...", file=sys.stderr)
         try:
@@ -87,29 +86,30 @@ def replay_command(argv: Sequence[str]) -> int:
     return 0
 
 
-def _robots(args: ReplayArgs) -> list[tuple[str, Robot]]:
+def _load_robots(args: ReplayArgs) -> list[tuple[str, Robot]]:
     """The robots with their titles."""
     if not args.generations:
         titles = [_title(path) for path in args.source]
-        unique = len(set(titles)) == len(titles)
-        names = titles if unique else list(map(str, args.source))
-        return [(name, Robot.load(path)) for name, path in zip(names, args.source, strict=True)]
-    best = History.read(args.source[0]).leaders()
-    last = len(best) - 1
+        if len(set(titles)) < len(titles):
+            titles = list(map(str, args.source))
+        return [(title, Robot.load(path)) for title, path in zip(titles, args.source, strict=True)]
+    leaders = History.read(args.source[0]).leaders()
+    last = len(leaders) - 1
     if max(args.generations) > last:
-        print(f"{args.source[0]} ends with generation {last}, shown for later ones", file=sys.stderr)
-    chosen = dict.fromkeys(min(number, last) for number in args.generations)
-    return [(f"generation {number}", best[number]) for number in chosen]
+        print(f"the last generation of {args.source[0]} is {last}; showing it instead of later ones",
+              file=sys.stderr)  # fmt: skip
+    numbers = dict.fromkeys(min(number, last) for number in args.generations)
+    return [(f"generation {number}", leaders[number]) for number in numbers]
 
 
 def _title(path: Path) -> str:
-    """Of a run folder or its best.json the folder's name, else the file's."""
+    """The name of the run folder, also for its best.json; of another file its own name."""
     if path.is_dir():
         return path.resolve().name
     return path.resolve().parent.name if path.name == "best.json" else path.stem
 
 
-def _beside(args: ReplayArgs) -> Path:
+def _default_video(args: ReplayArgs) -> Path:
     if len(args.source) > 1:
         return Path("replay.mp4")
     (source,) = args.source
@@ -117,7 +117,7 @@ def _beside(args: ReplayArgs) -> Path:
     return folder / ("film.mp4" if args.generations else "replay.mp4")
 
 
-def _compared(recording: Recording, timestep_s: float | None) -> dict[str, Any]:
+def _compare(recording: Recording, timestep_s: float | None) -> dict[str, Any]:
     robot, outcomes = recording.robot, recording.outcomes
     fitness_m = float(outcomes.fitness()[0])
     return {
@@ -132,12 +132,13 @@ def _compared(recording: Recording, timestep_s: float | None) -> dict[str, Any]:
     }
 
 
-def _sentence(said: dict[str, Any]) -> str:
-    recorded = said["recorded_fitness_m"]
-    if not recorded:
-        verdict = "nothing recorded to compare with"
-    elif said["identical"]:
-        verdict = "the same as recorded, bit for bit"
+def _describe(comparison: dict[str, Any]) -> str:
+    fitness_m, recorded_m = comparison["fitness_m"], comparison["recorded_fitness_m"]
+    if not recorded_m:
+        verdict = "no recorded fitness to compare with"
+    elif comparison["identical"]:
+        verdict = "identical to the record"
     else:
-        verdict = f"recorded {recorded!r} m: {100 * (said['fitness_m'] / recorded - 1):+.1f} %"
-    return f"fitness {said['fitness_m']!r} m ({said['failure']}), {said['energy_j']:.1f} J, {verdict}"
+        verdict = f"{100 * (fitness_m / recorded_m - 1):+.1f} % of the recorded {recorded_m!r} m"
+    energy = f"{comparison['energy_j']:.1f} J"
+    return f"fitness {fitness_m!r} m ({comparison['failure']}), {energy}, {verdict}"

@@ -13,7 +13,8 @@ from rich.console import Console
 
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli
-from evolution.cli.running import picture
+from evolution.cli.running import write_results
+from evolution.run.history import History
 from evolution.run.journal import FILE as JOURNAL
 from evolution.study.config import SETTINGS, load
 from evolution.study.results import collect, read_thresholds
@@ -21,14 +22,14 @@ from evolution.study.results import collect, read_thresholds
 
 @dataclass(frozen=True)
 class ReportArgs:
-    """Write figures and report.html of a run, or of what is finished of a study."""
+    """Write the figures and report.html of a run, or of the finished runs of a study."""
 
     folder: Annotated[Path, tyro.conf.Positional]
     """The folder of the run or the study."""
     video: bool = True
-    """Of a run: write best.mp4, where it is missing or shows an earlier robot."""
+    """For a run: write best.mp4, unless it shows the best robot already."""
     winners: bool = True
-    """Of a study: simulate each arm's best robot again, where not yet done; takes minutes."""
+    """For a study: simulate the best robot of each arm under other conditions; takes minutes."""
 
 
 def report_command(argv: Sequence[str]) -> int:
@@ -38,11 +39,10 @@ def report_command(argv: Sequence[str]) -> int:
     if (args.folder / SETTINGS).is_file():
         write_report(args.folder, console, look_again=args.winners)
     elif (args.folder / JOURNAL).is_file():
-        page = picture(args.folder, console, video=args.video)
-        print(f"written: {page}", file=sys.stderr)
+        write_results(History.read(args.folder), console, video=args.video)
     else:
         raise CaterpillarError(
-            f"{args.folder} holds neither a run ({JOURNAL}) nor a study ({SETTINGS}); give the "
+            f"{args.folder} contains neither a run ({JOURNAL}) nor a study ({SETTINGS}); give a "
             "folder that caterpillar evolve or caterpillar study made"
         )
     return 0

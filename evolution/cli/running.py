@@ -1,7 +1,8 @@
-"""What commands that run something share: where it is computed, what is told, what is left behind."""
+"""What the commands share that run something: flags, progress and closing messages."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,73 +22,74 @@ from evolution.run.history import Generation, History
 
 
 def check_threads(threads: int) -> None:
-    """See that there can be so many.
+    """Check the number of threads of a command.
 
     Raises:
-        CaterpillarError: there cannot.
+        CaterpillarError: it is negative.
     """
     if threads < 0:
-        raise CaterpillarError(f"threads = {threads} must not be negative; 0 is all cores")
+        raise CaterpillarError(f"threads = {threads} must not be negative; 0 uses all cores")
 
 
 def check_address(address: str | None, evaluator: str) -> None:
-    """See that an address of a cluster is not ignored.
+    """Check that an address of a Ray cluster is used.
 
     Raises:
-        CaterpillarError: it would be.
+        CaterpillarError: the evaluator is another one.
     """
     if address is not None and evaluator != "ray":
-        raise CaterpillarError("--ray-address needs --evaluator ray: add that, or leave it out")
+        raise CaterpillarError("--ray-address requires --evaluator ray")
 
 
 @dataclass(frozen=True)
 class WorkerArgs:
-    """Where a run is computed, which makes no difference to its results."""
+    """Where a run is computed and what is written; this does not change its result."""
 
     evaluator: Literal["local", "ray"] = "local"
     """local: threads of this machine; ray: a Ray cluster."""
     ray_address: str | None = None
-    """Address of a running Ray cluster; by default one is started here, and ended with the run."""
+    """Address of a running Ray cluster; by default, a local one is started for the run."""
     threads: int = 0
-    """Threads to simulate on, where the evaluator is local; 0 for all cores."""
+    """Number of threads of the local evaluator; 0 uses all cores."""
     video: bool = True
     """Write best.mp4, a video of the best robot."""
     track: Literal["nowhere", "tensorboard"] = "nowhere"
-    """tensorboard: log into the run folder too; a run that does goes on doing so when resumed."""
+    """tensorboard: also log to the run folder, for TensorBoard; resume continues such a log."""
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
         check_address(self.ray_address, self.evaluator)
 
-    def make(self) -> Evaluator:
-        """The evaluator."""
-        return (
-            LocalEvaluator(self.threads) if self.evaluator == "local" else RayEvaluator(self.ray_address)
-        )
+    def make_evaluator(self) -> Evaluator:
+        """Make the evaluator."""
+        if self.evaluator == "ray":
+            return RayEvaluator(self.ray_address)
+        return LocalEvaluator(self.threads)
 
     @contextmanager
-    def following(self, reporter: Reporter, folder: Path) -> Iterator[Callable[[Generation], None]]:
-        """What a run tells its generations to."""
+    def follow(self, reporter: Reporter, folder: Path) -> Iterator[Callable[[Generation], None]]:
+        """Show the progress of a run, and log it if asked; a function to call with each generation."""
         if self.track == "nowhere" and not (folder / TENSORBOARD).is_dir():
-            yield reporter.generation
+            with reporter:
+                yield reporter.generation
             return
-        with TensorBoard(folder) as board:
 
-            def told(generation: Generation) -> None:
-                reporter.generation(generation)
-                board.generation(generation)
+        def report(generation: Generation) -> None:
+            reporter.generation(generation)
+            board.generation(generation)
 
-            yield told
+        with TensorBoard(folder) as board, reporter:
+            yield report
 
 
 class Reporter:
-    """Tells how a run goes: a live bar on a terminal, a line per generation elsewhere."""
+    """Shows the progress of a run: a line per generation and, on a terminal, a progress bar."""
 
     def __init__(self, config: RunConfig, console: Console) -> None:
         self._config, self._console = config, console
         self._bar = cli.bar(console)
         self._task = self._bar.add_task("generation 0", total=1.0)
-        self._done, self._step, self._replayed = 0.0, 1.0 / config.generations, 0.0
+        self._done, self._step = 0.0, 1.0 / config.generations
 
     def __enter__(self) -> Reporter:
         self._bar.start()
@@ -96,69 +98,82 @@ class Reporter:
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def generation(self, told: Generation) -> None:
-        """Print what a generation brought."""
-        done = self._config.share_done(told.evaluations, told.simulated_s)
-        left = self._config.generations - told.number - 1
-        # Of a budget it is not known how many generations are left: the next one is like the last.
+    @property
+    def share_done(self) -> float:
+        """Share of the run that is done, in [0, 1]."""
+        return self._bar.tasks[0].completed
+
+    def generation(self, generation: Generation) -> None:
+        """Report a completed generation."""
+        done = self._config.share_done(generation.evaluations, generation.simulated_s)
+        left = self._config.generations - generation.number - 1
+        # The number of generations in a budget is unknown: assume that the next one is like this one.
         even = (1.0 - done) / left if left else 0.0
         self._step = even if self._config.budget_s is None else done - self._done
         self._done = done
-        failures = ", ".join(f"{n} {reason}" for reason, n in told.failures.items() if n) or "none"
+        following = f"generation {generation.number + 1}"
+        if generation.replayed:  # replaying takes no time: estimate the time left without it
+            self._bar.reset(self._task, description=following)
+            self._bar.update(self._task, completed=done)
+        else:
+            self._bar.update(self._task, completed=done, description=following)
+        failures = ", ".join(f"{n} {name}" for name, n in generation.failures.items() if n) or "none"
         line = (
-            f"generation {told.number:3d}  best {1000 * told.best_m:6.1f} mm  "
-            f"mean {1000 * told.mean_m:5.1f} mm  failed: {failures}  "
-            f"simulated {told.simulated_s:,.0f} s"
+            f"generation {generation.number:3d}  best {1000 * generation.best_m:6.1f} mm  "
+            f"mean {1000 * generation.mean_m:5.1f} mm  failed: {failures}  "
+            f"simulated {generation.simulated_s:,.0f} s  {100 * done:.0f} % done"
         )
-        if told.replayed:
-            self._replayed = done  # it took no time, and says nothing of what is left
-        computed = done - self._replayed
-        if not self._console.is_terminal and computed > 0:
-            line += f"  left {told.elapsed_s / computed * (1.0 - done) / 60:.1f} min"
-        self._console.print(line, soft_wrap=True)
-        self._bar.update(self._task, completed=done, description=f"generation {told.number + 1}")
+        seconds = self._bar.tasks[0].time_remaining
+        if seconds and not self._console.is_terminal:
+            line += f", {seconds / 60:.1f} min left"
+        self._console.print(line)
 
     def progress(self, share: float) -> None:
-        """Move the bar within a generation."""
+        """Report the share of the current generation that is evaluated."""
         self._bar.update(self._task, completed=self._done + share * self._step)
 
 
-def finish(result: History, config: RunConfig, folder: Path, console: Console, *, video: bool) -> int:
-    """Say why the run ended, and leave pictures of the best robot; the exit status."""
-    status = 0 if result.finished else 130
-    if not result.finished:
-        console.print(f"stopped; go on with: caterpillar resume {folder}")
-    elif config.target_m is not None or config.budget_s is not None:  # else there is one end only
-        last = result.generations[-1]
-        why = config.ending(len(result.generations), last.simulated_s, last.farthest_m)
-        console.print(f"{'nothing left to do' if last.replayed else 'ended'}: {why}")
-    picture(folder, console, video=video)
-    return status
+def finish(history: History, console: Console, *, video: bool) -> int:
+    """Report why a run ended, write its film and page, and say what to do next; the exit status."""
+    if history.finished:
+        console.print(f"finished: {history.ending()}")
+    else:
+        console.print(f"stopped; continue with: caterpillar resume {history.folder}")
+    write_results(history, console, video=video)
+    return 0 if history.finished else 130
 
 
-def picture(folder: Path, console: Console, *, video: bool) -> Path:
-    """Tell the best robot of a run, and leave its pictures and its page in the folder; the page."""
+def write_results(history: History, console: Console, *, video: bool) -> None:
+    """Film the best robot, write the page of the run, and print where they are and what to do next."""
     from caterpillar_env.drawing.video import is_video_of
     from evolution.report import run_page
 
-    record = History.read(folder)
-    best = record.best_robot
+    best, path = history.best_robot, history.folder / "best.mp4"
+    if best is not None and video and not (path.exists() and is_video_of(path, best)):
+        film(best, path, console)
+    page = run_page.write(history)
     if best is None:
-        if record.generations:
-            console.print(f"no robot crawled forwards without failing; see caterpillar export {folder}")
+        none_failed = "no robot crawled forwards without failing"
+        print(f"best: none, {none_failed if history.generations else 'no generation is complete'}")
     else:
-        print(
-            f"best: {1000 * (best.fitness_m or 0):.1f} mm in 30 s "
-            f"(generation {best.generation}), in {folder}"
-        )
-        path = folder / "best.mp4"
-        if video and not (path.exists() and is_video_of(path, best)):
-            film(best, path, console)
-    return run_page.write(folder)
+        distance = f"{1000 * (best.fitness_m or 0.0):.1f} mm in 30 s"
+        print(f"best: {distance}, evaluation {best.evaluation} in generation {best.generation}")
+        if path.exists():
+            print(f"film: {path}")
+    print(f"page: {page}")
+    print_commands(history)
+
+
+def print_commands(history: History) -> None:
+    """Print commands for the next steps with a run."""
+    from evolution.report.run_page import next_commands
+
+    for command, purpose in next_commands(history, shlex.quote(str(history.folder))):
+        print(f"next: {command}  # {purpose}")
 
 
 def film(robot: AnyRobot, path: Path, console: Console, timestep_s: float | None = None) -> None:
-    """Write a video; a machine that cannot draw costs only the video."""
+    """Write a video; a machine that cannot draw gets a message instead."""
     from caterpillar_env.drawing.video import Recording, write_video
 
     console.print(f"writing {path} ...")

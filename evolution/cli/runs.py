@@ -14,7 +14,6 @@ from rich.console import Console
 from rich.table import Table
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.robot import Robot
 from evolution import cli
 from evolution.run.database import JournalError, is_in_use
 from evolution.run.history import History
@@ -23,10 +22,10 @@ from evolution.run.journal import FILE
 
 @dataclass(frozen=True)
 class RunsArgs:
-    """List the runs in a folder: what they are, how far they are, how good."""
+    """List evolutionary runs and trainings with their settings, progress and best distance."""
 
     folder: Annotated[Path, tyro.conf.Positional] = Path("runs")
-    """Folder to look in, and in the folders within it."""
+    """Folder to search, with all folders in it."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -35,50 +34,40 @@ def runs_command(argv: Sequence[str]) -> int:
     """List the runs in a folder."""
     args = cli.parse(RunsArgs, argv, "runs")
     if not args.folder.is_dir():
-        raise CaterpillarError(f"{args.folder} is no folder; give the one that holds the runs")
-    found = [_summary(path.parent) for path in sorted(args.folder.glob(f"**/{FILE}"))]
+        raise CaterpillarError(f"{args.folder} is not a folder; give the one that contains the runs")
+    rows = [_describe(path.parent) for path in sorted(args.folder.glob(f"**/{FILE}"))]
     if args.json:
-        print(json.dumps(found, indent=2))
-        return 0
-    if not found:
+        print(json.dumps(rows, indent=2))
+    elif not rows:
         print(f"no runs in {args.folder}", file=sys.stderr)
-        return 0
-    shown = Table()
-    for heading in found[0]:
-        shown.add_column(heading)
-    for row in found:
-        shown.add_row(*("" if value is None else str(value) for value in row.values()))
-    Console(width=None if sys.stdout.isatty() else 150).print(shown)
+    else:
+        table = Table(*rows[0])
+        for row in rows:
+            table.add_row(*("" if value is None else str(value) for value in row.values()))
+        Console(width=None if sys.stdout.isatty() else 150, markup=False).print(table)
     return 0
 
 
-def _summary(folder: Path) -> dict[str, Any]:
-    row: dict[str, Any] = dict.fromkeys(
-        ("run", "state", "optimizer", "prior", "seed", "generation", "evaluations", "best, mm")
-    )
-    row["run"] = str(folder)
+def _describe(folder: Path) -> dict[str, Any]:
+    names = ("run", "state", "optimizer", "prior", "seed", "generation", "evaluations", "best, mm")
+    row: dict[str, Any] = dict.fromkeys(names) | {"run": str(folder)}
     try:
         history = History.read(folder)
-        config, evaluations, finished = history.config, history.evaluations, history.finished
     except JournalError as error:
-        row["state"] = str(error)
-        return row
-    done = 1 + evaluations[-1].generation if evaluations else 0
-    row |= {
-        "state": "running" if is_in_use(folder) else "finished" if finished else "stopped",
-        "optimizer": history.own_optimizer or config.optimizer,
-        "prior": config.prior,
-        "seed": config.seed,
-        "generation": f"{done} of {config.generations}" if config.budget_s is None else str(done),
-        "evaluations": len(evaluations),
-        "best, mm": _best_mm(folder),
-    }
+        return row | {"state": str(error)}
+    if history.kind == "training":
+        training = history.configuration
+        row["optimizer"] = f"{training['algorithm']} {training['mode']}"
+        row["prior"], row["seed"] = training["design"], training["seed"]
+        total = training["evaluations"]
+    else:
+        config = history.config
+        row["optimizer"] = history.own_optimizer or config.optimizer
+        row["prior"], row["seed"] = config.prior, config.seed
+        total = config.generations if config.budget_s is None else None
+    done = len(history.generations)
+    row["state"] = "running" if is_in_use(folder) else "finished" if history.finished else "stopped"
+    row["generation"] = str(done) if total is None else f"{done} of {total}"
+    row["evaluations"] = len(history.evaluations)
+    row["best, mm"] = history.best and round(1000 * history.best.distance_m, 1)
     return row
-
-
-def _best_mm(folder: Path) -> float | None:
-    try:
-        fitness_m = Robot.load(folder).fitness_m
-    except CaterpillarError:
-        return None  # nobody has crawled forwards yet
-    return None if fitness_m is None else round(1000 * fitness_m, 1)

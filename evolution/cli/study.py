@@ -23,22 +23,22 @@ from evolution.study.config import begin, preset, read_toml
 
 @dataclass(frozen=True)
 class StudyArgs:
-    """Run a study's arms and seeds; what is finished is never run again. Then write its report."""
+    """Run the arms and seeds of a study, and write its report. Finished runs are not repeated."""
 
     file: Annotated[Path | None, tyro.conf.Positional] = None
-    """TOML file that describes the study (docs/study.md)."""
+    """TOML file with the settings of the study, see docs/study.md."""
     preset: Literal["paper", "ablation", "pilot", "rl-pilot"] | None = None
-    """Instead of a file: a study that comes with the package."""
+    """A study of the package, instead of a file."""
     out: Path | None = None
-    """Study folder to make or go on with; by default one under studies/, named as file or preset."""
+    """Study folder to create or continue; by default studies/NAME, with the name of file or preset."""
     processes: int = 0
-    """Runs side by side, each on one thread; 0 for all cores."""
+    """Number of runs side by side, one thread each; 0 uses all cores."""
     evaluator: Literal["local", "ray"] = "local"
-    """local: processes of this machine; ray: tasks of a Ray cluster that shares the folder."""
+    """local: processes of this machine; ray: tasks of a Ray cluster that shares the study folder."""
     ray_address: str | None = None
-    """Address of a running Ray cluster; by default one is started here, and ended with the study."""
+    """Address of a running Ray cluster; by default, a local one is started for the study."""
     winners: bool = True
-    """Simulate each arm's best robot again, more finely and varied; takes minutes."""
+    """Simulate the best robot of each arm under other conditions; takes minutes."""
 
     def __post_init__(self) -> None:
         if (self.file is None) == (self.preset is None):
@@ -47,9 +47,9 @@ class StudyArgs:
                 + ("neither" if self.file is None else "both")
             )
         if self.processes < 0:
-            raise CaterpillarError(f"processes = {self.processes} must not be negative; 0 is all cores")
+            raise CaterpillarError(f"processes = {self.processes} must not be negative")
         if self.evaluator == "ray" and self.processes:
-            raise CaterpillarError("--processes is for the local evaluator: leave it out with ray")
+            raise CaterpillarError("--processes requires --evaluator local")
         check_address(self.ray_address, self.evaluator)
 
 
@@ -80,14 +80,14 @@ def study_command(argv: Sequence[str]) -> int:
 
 
 class _Display:
-    """One display of all runs: live on a terminal, a line a minute elsewhere."""
+    """The progress of all runs: a live display on a terminal, otherwise a line per minute."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
         self._bar = cli.bar(console)
         self._task = self._bar.add_task("study", total=1.0)
         self._live = Live(console=console, refresh_per_second=2)
-        self._told = -1
+        self._minute = -1
 
     def __enter__(self) -> _Display:
         if self._console.is_terminal:
@@ -99,7 +99,7 @@ class _Display:
             self._live.stop()
 
     def show(self, progress: Progress) -> None:
-        """Draw the display anew."""
+        """Update the display."""
         self._bar.update(
             self._task, completed=progress.share,
             description=f"{progress.finished} of {progress.cells} runs",
@@ -113,8 +113,8 @@ class _Display:
             return
         task = self._bar.tasks[0]
         minute = int(task.elapsed or 0) // 60
-        if minute > self._told or progress.finished == progress.cells:
-            self._told = minute
+        if minute > self._minute or progress.finished == progress.cells:
+            self._minute = minute
             left = task.time_remaining
             eta = "" if left is None else f", left {left / 60:.0f} min"
             self._console.print(

@@ -1,4 +1,4 @@
-"""The subcommand `validate`."""
+"""`caterpillar validate`."""
 
 from __future__ import annotations
 
@@ -8,44 +8,39 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 
 from caterpillar_env.files import write_json, writing
 from caterpillar_env.robot import Robot
-from caterpillar_env.validation import (
-    conservation,
-    convergence,
-    gaits,
-    golden,
-    material,
-    mechanics,
-    robustness,
-)  # fmt: skip
-from caterpillar_env.validation.check import Check
-from caterpillar_env.validation.gaits import Gait
-from caterpillar_env.validation.robots import evolved_robots, farthest_robots
 from evolution import cli
 from evolution.genome import Encoding
+
+if TYPE_CHECKING:
+    from caterpillar_env.validation.check import Check
+    from caterpillar_env.validation.gaits import Gait
 
 
 @dataclass(frozen=True)
 class ValidateArgs:
-    """Check the physics; the exit status is 1 when a check fails."""
+    """Check the physics. The exit status is 1 if a check fails."""
 
     quick: bool = False
-    """Fewer robots, shorter runs, coarser references: a minute instead of a quarter of an hour."""
+    """Use fewer robots, shorter runs and coarser references: one minute instead of fifteen."""
     settings: bool = False
-    """Also weigh numerical settings against one another (five minutes more); writes settings.json."""
+    """Also compare numerical settings, which takes five more minutes, and write settings.json."""
     json: bool = False
-    """Print JSON instead of a table."""
+    """Print JSON instead of tables."""
     out: Path = Path("validation")
-    """Folder to make for the plots and validation.json, unless it is there."""
+    """Folder for the plots and validation.json; created if missing."""
 
 
 def groups(*, quick: bool) -> dict[str, Callable[[], list[Check]]]:
-    """The checks by group, in the order of the table, but for those on the timestep."""
+    """The groups of checks in the order of the table, except those of gaits and timesteps."""
+    from caterpillar_env.validation import conservation, golden, material, mechanics, robustness
+
     return {
         "SMA against closed forms": material.check_closed_forms,
         "SMA against Dynalloy's table": material.check_dynalloy,
@@ -57,94 +52,94 @@ def groups(*, quick: bool) -> dict[str, Callable[[], list[Check]]]:
             *conservation.check_energy(quick=quick),
         ],
         "golden trajectories": golden.check_trajectories,
-        "failure detectors": lambda: mechanics.check_failures(_robots(quick)),
-        "joint stops": lambda: robustness.check_stops(_robots(quick)),
+        "failure detectors": lambda: mechanics.check_failures(_load_robots(quick)),
+        "joint stops": lambda: robustness.check_stops(_load_robots(quick)),
     }
 
 
-def _robots(quick: bool) -> list[Robot]:
+def _load_robots(quick: bool) -> list[Robot]:
+    from caterpillar_env.validation.robots import evolved_robots
+
     return evolved_robots(8) if quick else evolved_robots()
 
 
 def validate_command(argv: Sequence[str]) -> int:
     """Check the physics against closed forms, data sheets and finer timesteps."""
+    from caterpillar_env.validation import convergence, gaits, golden, material, robustness
+    from caterpillar_env.validation.robots import farthest_robots
+
     args = cli.parse(ValidateArgs, argv, "validate")
     with writing(args.out):
         args.out.mkdir(parents=True, exist_ok=True)
     console = cli.console()
     results: dict[str, list[Check]] = {}
-    for name, run in groups(quick=args.quick).items():
+
+    def run(name: str, make_checks: Callable[[], list[Check]]) -> None:
         console.print(f"{name} ... ", end="")
         started = time.monotonic()
-        results[name] = run()
-        console.print(f"{_passed(results[name])} ({time.monotonic() - started:.0f} s)")
-    console.print("gaits of the evolved robots ... ", end="")
-    measured = gaits.measure_gaits(_robots(args.quick), quick=args.quick)
-    results["gaits of the evolved robots"] = gaits.check_gaits(measured)
-    console.print(_passed(results["gaits of the evolved robots"]))
-    console.print("timestep, most of the work ... ", end="")
-    started = time.monotonic()
+        results[name] = make_checks()
+        console.print(f"{_count_passed(results[name])} ({time.monotonic() - started:.0f} s)")
+
+    for name, make_checks in groups(quick=args.quick).items():
+        run(name, make_checks)
+    console.print("measuring gaits ...")
+    measured = gaits.measure_gaits(_load_robots(args.quick), quick=args.quick)
+    run("gaits of the evolved robots", lambda: gaits.check_gaits(measured))
+    console.print("comparing timesteps, which takes most of the time ...")
     compared = convergence.compare(quick=args.quick)
-    results["timestep"] = convergence.check_timestep(compared)
-    console.print(f"{_passed(results['timestep'])} ({time.monotonic() - started:.0f} s)")
-    console.print("plots ...")
+    run("timestep", lambda: convergence.check_timestep(compared))
+    console.print("plotting ...")
     material.plot(args.out / "sma.png")
     convergence.plot(compared, args.out / "timestep.png")
     if not args.quick:
-        robustness.plot_parameters(
-            *robustness.vary_parameters(farthest_robots(5)), args.out / "sensitivity.png"
-        )
+        swept = robustness.vary_parameters(farthest_robots(5))
+        robustness.plot_parameters(*swept, args.out / "sensitivity.png")
         ratios = robustness.vary_genes(farthest_robots(10))
         titles = [gene.title for gene in Encoding().genes]
         robustness.plot_genes(ratios, titles, args.out / "perturbation.png")
-    data = {group: [check._asdict() for check in found] for group, found in results.items()}
+    data = {group: [check._asdict() for check in checks] for group, checks in results.items()}
     write_json(args.out / "validation.json", data)
     write_json(args.out / "gaits.json", [gait._asdict() for gait in measured])
-    tables = [_table(results), _gaits(measured)]
+    tables = [_tabulate_checks(results), _tabulate_gaits(measured)]
     if args.settings:
-        console.print("settings ...")
+        console.print("comparing settings ...")
         rows = convergence.compare_settings()
         write_json(args.out / "settings.json", rows)
-        tables.append(_settings(rows))
+        tables.append(_tabulate_settings(rows))
     if args.json:
         print(json.dumps(data, indent=2))
     else:
         for table in tables:
             Console(width=None if sys.stdout.isatty() else 150).print(table)
-    every = [check for found in results.values() for check in found]
-    console.print(f"{_passed(every)}; plots are in {args.out}")
+    checks = [check for group in results.values() for check in group]
+    console.print(f"{_count_passed(checks)}; plots are in {args.out}")
     if not all(check.passed for check in results["golden trajectories"]):
         console.print(golden.ADVICE)
-    return 0 if all(check.passed for check in every) else 1
+    return 0 if all(check.passed for check in checks) else 1
 
 
-def _passed(checks: list[Check]) -> str:
+def _count_passed(checks: list[Check]) -> str:
     return f"{sum(check.passed for check in checks)} of {len(checks)} checks passed"
 
 
-def _table(results: dict[str, list[Check]]) -> Table:
-    table = Table(title="Validation", title_justify="left")
-    for heading in ("check", "expected", "got", "tolerance", ""):
-        table.add_column(heading)
-    for group, found in results.items():
+def _tabulate_checks(results: dict[str, list[Check]]) -> Table:
+    headings = ("check", "expected", "got", "tolerance", "")
+    table = Table(*headings, title="Validation", title_justify="left")
+    for group, checks in results.items():
         table.add_section()
         table.add_row(group, style="bold")
-        for check in found:
-            verdict = "pass" if check.passed else "FAIL"
-            table.add_row(
-                *(str(part) for part in check[:4]), verdict, style=None if check.passed else "red"
-            )
+        for check in checks:
+            cells = [*map(str, check[:4]), "pass" if check.passed else "FAIL"]
+            table.add_row(*cells, style=None if check.passed else "red")
     return table
 
 
-def _gaits(measured: Sequence[Gait]) -> Table:
-    """How the evolved robots move, the farthest first."""
-    table = Table(title="Gaits of the evolved robots", title_justify="left")
-    for heading in (
+def _tabulate_gaits(measured: Sequence[Gait]) -> Table:
+    headings = (
         "distance (mm)", "best tenth of the period", "peak speed (mm/s)", "slip over distance",
         "load on the body", "overrun of a joint", "cost of transport", "body lengths per s",
-    ):  # fmt: skip
-        table.add_column(heading, justify="right")
+    )  # fmt: skip
+    table = Table(*headings, title="Gaits of the evolved robots", title_justify="left")
     for g in sorted(measured, key=lambda g: -g.distance_m):
         table.add_row(
             f"{1000 * g.distance_m:.0f}", f"{g.best_tenth:.0%}", f"{1000 * g.peak_speed_m_s:.0f}",
@@ -154,10 +149,9 @@ def _gaits(measured: Sequence[Gait]) -> Table:
     return table
 
 
-def _settings(rows: list[dict[str, float | str]]) -> Table:
-    table = Table(title="Settings against references of 0.5 ms", title_justify="left")
-    for heading in rows[0]:
-        table.add_column(heading.replace("_", " "))
+def _tabulate_settings(rows: list[dict[str, float | str]]) -> Table:
+    headings = [name.replace("_", " ") for name in rows[0]]
+    table = Table(*headings, title="Settings against references of 0.5 ms", title_justify="left")
     for row in rows:
         table.add_row(*(v if isinstance(v, str) else f"{v:.3g}" for v in row.values()))
     return table

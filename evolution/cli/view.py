@@ -1,4 +1,4 @@
-"""The subcommand `view`, where viser may not be installed."""
+"""`caterpillar view`."""
 
 from __future__ import annotations
 
@@ -20,29 +20,30 @@ from evolution.viewer.session import nominal_robot
 
 @dataclass(frozen=True)
 class ViewArgs:
-    """See a robot crawl in the browser, and change it by hand meanwhile. Ctrl-C ends it."""
+    """Watch a robot crawl in the browser, and change it by hand. Stop with Ctrl-C."""
 
     source: Annotated[Path | None, tyro.conf.Positional] = None
-    """A run folder, or the JSON file of one robot (best.json); by default the nominal body."""
+    """A run folder, or the JSON file of one robot (best.json); by default a robot with nominal body."""
     port: int = 8080
-    """Port of 127.0.0.1 to serve the page on; 0 for any free one."""
+    """Port of 127.0.0.1 that serves the page; 0 chooses a free one."""
     open: bool = False
-    """Open the page in the browser."""
+    """Open the page in the default browser."""
 
 
 def view_command(argv: Sequence[str]) -> int:
     """Watch a robot crawl in the browser, and change it by hand."""
     args = cli.parse(ViewArgs, argv, "view")
-    individual = nominal_robot() if args.source is None else Robot.load(args.source)
+    robot = nominal_robot() if args.source is None else Robot.load(args.source)
     try:
         import viser  # noqa: F401
     except ImportError:
         raise CaterpillarError("the viewer needs viser: pip install 'caterpillar-sma[view]'") from None
     from evolution.viewer.server import Viewer
 
-    with Viewer(individual, args.port) as viewer:
-        print(f"{viewer.url} shows {args.source or 'the nominal robot'}; Ctrl-C ends it", flush=True)
+    with Viewer(robot, args.port) as viewer:
+        shown = args.source or "the nominal robot"
+        print(f"{viewer.url} shows {shown}; stop with Ctrl-C", flush=True)
         if args.open and not webbrowser.open(viewer.url):
-            print("no browser found; open the page yourself", file=sys.stderr)
+            print("no browser found: open the page yourself", file=sys.stderr)
         threading.Event().wait()
     return 0

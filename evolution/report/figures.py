@@ -1,4 +1,4 @@
-"""Figures: convergence, gait, and the preprocessor's densities; into a file, or into a page."""
+"""Figures of a run: convergence, gait, and the densities of the priors."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from evolution.priors.preprocessor import GenePrior
 from evolution.run.history import Generation
 
 _DPI = 120
-_WIDTH_IN = 6.0  # narrow, so that its text can be read on a telephone
+_WIDTH_IN = 6.0  # narrow enough to be read on a telephone
 _COLOURS = ("gray", "red", "purple", "green", "brown", "olive", "pink", "cyan")
-#: Of each failure by its name, in all figures.
+#: Colour of each failure in all figures, by its name.
 FAILURE_COLOURS = {
     failure.label: f"tab:{colour}"
     for failure, colour in zip([f for f in Failure if f is not Failure.NONE], _COLOURS, strict=False)
@@ -30,42 +30,44 @@ FAILURE_COLOURS = {
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure; the ending of the file's name says as what."""
+    """Write a figure; the suffix of the file name gives the format."""
     figure.savefig(path, dpi=_DPI)
 
 
 def inline_svg(figure: Figure, name: str) -> str:
-    """A figure as an SVG element of an HTML page, the same for the same figure.
+    """A figure as an SVG element of an HTML page.
 
-    What is black or white takes the classes' colours of the page (`page.css`), and text its font,
-    so that it can be read on any background.
+    The same figure gives the same text. The style sheet of the page replaces black, white and the font,
+    so that the figure can be read on a dark background too.
 
     Args:
-        figure: to be drawn.
-        name: of the figure, another one for each on a page: their parts' ids must differ.
+        figure: the figure.
+        name: name of the figure, unique on its page, because ids of elements are made from it.
     """
-    drawn = io.StringIO()
+    svg = io.StringIO()
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
-        nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-        figure.savefig(drawn, format="svg", metadata=nothing, transparent=True)
-    text = drawn.getvalue()
+        no_metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        figure.savefig(svg, format="svg", metadata=no_metadata, transparent=True)
+    text = svg.getvalue()
     return re.sub(r'<g id="[^"]*">', "<g>", text[text.index("<svg") :])
 
 
-def convergence(history: Sequence[Generation], title: str) -> Figure:
+def convergence(generations: Sequence[Generation], title: str) -> Figure:
     """Best and mean fitness, and failures by reason, over the generations."""
     figure = Figure(figsize=(_WIDTH_IN, 5.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
-    numbers = [g.number for g in history]
-    upper.plot(numbers, [1000 * g.best_m for g in history], marker=".", label="best so far")
-    upper.plot(numbers, [1000 * g.mean_m for g in history], marker=".", label="mean of the generation")
+    numbers = [g.number for g in generations]
+    upper.plot(numbers, [1000 * g.best_m for g in generations], marker=".", label="best so far")
+    upper.plot(
+        numbers, [1000 * g.mean_m for g in generations], marker=".", label="mean of the generation"
+    )
     upper.set(ylabel="distance in 30 s (mm)", ylim=(0, None))
     upper.set_title(title, loc="left", fontsize="medium")
     upper.legend()
     upper.grid(alpha=0.3)
-    bottom = np.zeros(len(history))
+    bottom = np.zeros(len(generations))
     for reason, colour in FAILURE_COLOURS.items():
-        counts = np.array([g.failures[reason] for g in history])
+        counts = np.array([g.failures[reason] for g in generations])
         if counts.any():
             lower.bar(numbers, counts, bottom=bottom, label=reason, color=colour)
             bottom += counts
@@ -77,15 +79,15 @@ def convergence(history: Sequence[Generation], title: str) -> Figure:
     return figure
 
 
-def gait(individual: Robot) -> Figure:
-    """Power and austenite fraction of each pair or spring over one period, once they repeat."""
-    spring, timings = individual.physics.spring, individual.timings
+def gait(robot: Robot) -> Figure:
+    """Power and austenite fraction of each pair or spring over one period, in the limit cycle."""
+    spring, timings = robot.physics.spring, robot.timings
     power = timings.power(SMA_STEP_S)  # (steps, pairs or springs)
     state = SmaState.cold(spring, power.shape[1:])
-    for _ in range(10):
+    for _ in range(10):  # periods, until the temperature repeats
         before, state = state, advance(spring, state, power, SMA_STEP_S).state
     step = advance(spring, before, power, SMA_STEP_S)
-    names = individual.timed
+    names = robot.timed
     seconds = np.arange(1, len(power) + 1) * SMA_STEP_S
     figure = Figure(figsize=(_WIDTH_IN, 0.8 * len(names) + 1), layout="constrained")
     axes = np.atleast_1d(figure.subplots(len(names), 1, sharex=True, sharey=True))
@@ -100,30 +102,30 @@ def gait(individual: Robot) -> Figure:
         axis.set_ylabel(name.replace("_", "\n"), rotation=0, ha="right", va="center", fontsize="small")
         axis.set(ylim=(-0.05, 1.05), xlim=(0, timings.period_s), yticks=[0, 1])
     axes[0].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, fontsize="small", frameon=False)
-    alike = len(names) < individual.physics.num_springs
-    title = "One gait period" + (" (left and right alike)" if alike else "")
+    mirrored = len(names) < robot.physics.num_springs
+    title = "One gait period" + (" (left and right are the same)" if mirrored else "")
     axes[0].set_title(title, loc="left", fontsize="medium")
     axes[-1].set_xlabel("time in the period (s)")
     return figure
 
 
 def densities(priors: Sequence[GenePrior]) -> Figure:
-    """Each gene's mutation density over its range, in units of the uniform density."""
+    """Mutation density of each gene over its range, relative to the uniform density."""
     columns = 4
     rows = -(-len(priors) // columns)
     figure = Figure(figsize=(3.2 * columns, 1.9 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, sharey=True, squeeze=False).ravel()
-    unit = np.linspace(0.0, 1.0, 201)
+    shares = np.linspace(0.0, 1.0, 201)
     for axis in axes[len(priors) :]:
         axis.set_axis_off()
     for axis, prior in zip(axes, priors, strict=False):
         gene = prior.gene
-        factor, unit_shown = gene.shown
-        density = prior.distribution.density(unit)
-        values = factor * (gene.lower + unit * (gene.upper - gene.lower))
+        factor, unit = gene.shown
+        density = prior.distribution.density(shares)
+        values = factor * (gene.lower + shares * (gene.upper - gene.lower))
         axis.fill_between(values, density, alpha=0.3)
         axis.plot(values, density)
-        axis.set(title=gene.title, xlabel=unit_shown, ylim=(0, None))
+        axis.set(title=gene.title, xlabel=unit, ylim=(0, None))
         axis.title.set_fontsize("small")
-    figure.supylabel("density over the uniform's")
+    figure.supylabel("density relative to uniform")
     return figure

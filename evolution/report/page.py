@@ -1,4 +1,4 @@
-"""Pages: one HTML file each, from the templates of this package, that opens without a network."""
+"""HTML pages from the templates of this package, each a single file without external resources."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from caterpillar_env.errors import CaterpillarError
 
 
 class PageError(CaterpillarError):
-    """A page, or a figure of it, cannot be written."""
+    """A page or one of its figures cannot be written."""
 
 
 def render(template: str, filters: dict[str, Callable[..., str]], **contents: Any) -> str:
-    """The text of a page.
+    """Render the text of a page.
 
     Args:
-        template: a file of this package.
-        filters: how its numbers are shown.
-        **contents: what it shows; text in it is escaped.
+        template: name of a file of this package.
+        filters: filters of the template by name, which format numbers.
+        **contents: variables of the template; text in them is escaped.
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True,
@@ -33,5 +33,5 @@ def render(template: str, filters: dict[str, Callable[..., str]], **contents: An
 
 
 def data_url(kind: str, data: bytes) -> str:
-    """Bytes of a media type as what an element of the page holds instead of an address."""
+    """Data of a media type (`kind`) as a URL, to embed it in a page."""
     return f"data:{kind};base64,{base64.b64encode(data).decode()}"

@@ -1,11 +1,11 @@
-"""A run's page: what was asked, what came out, and how to see it again, in one file."""
+"""The page of a run: its settings, its results, and how to see its robots, in one HTML file."""
 
 from __future__ import annotations
 
 import json
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -17,100 +17,101 @@ from caterpillar_env.drawing.video import is_video_of
 from caterpillar_env.task import EPISODE_S, Failure
 from caterpillar_env.validation.gaits import measure_gait
 from evolution.config import OPTIMIZERS, PRIORS, RunConfig
-from evolution.genome import Gene, gene_values
-from evolution.priors.preprocessor import GenePrior, paper_priors
+from evolution.genome import gene_values
+from evolution.priors.preprocessor import paper_priors
 from evolution.report import figures as draw
 from evolution.report.page import PageError, data_url, render
-from evolution.run.history import Generation, History
+from evolution.run.history import History
 
 PAGE = "report.html"
 LARGEST_VIDEO_BYTES = 16 * 2**20
 
 
 class GeneRow(NamedTuple):
-    """A gene of the best robot, for people: values in mm, g, ° and s."""
+    """A gene of the best robot beside its bounds and its prior, in mm, g, ° or s."""
 
     title: str
     unit: str
     value: float
     lower: float
     upper: float
-    place: float  #: of the value between the bounds, in [0, 1]
     peak: float | None  #: of the prior; None if it is uniform
-    width: float | None  #: standard deviation of the prior
-    band: tuple[float, float]  #: from where to where the prior's width reaches, in [0, 1]
-    peak_place: float | None
+    width: float | None  #: standard deviation of the prior; None if it is uniform
+
+    def percent(self, value: float) -> float:
+        """Position of a value between the bounds, from 0 to 100; values outside are clipped."""
+        share = (value - self.lower) / (self.upper - self.lower)
+        return 100.0 * min(max(share, 0.0), 1.0)
 
 
-def write(folder: Path) -> Path:
-    """Write `convergence.png`, `gait.png` and `report.html` into a run folder; the page's path.
-
-    All of it comes out of the folder, and is the same each time.
+def write(history: History) -> Path:
+    """Write `convergence.png`, `gait.png` and `report.html` into the run folder; the path of the page.
 
     Raises:
-        JournalError: see `Record.read`.
-        RobotError: likewise.
-        PageError: the folder cannot be written.
+        PageError: a file cannot be written.
     """
-    record = History.read(folder)
-    generations = record.generations
+    folder, generations, best = history.folder, history.generations, history.best_robot
     drawings: dict[str, Figure] = {}
     if generations:
         title = f"{folder.resolve().name}: {generations[-1].evaluations} evaluations"
         drawings["convergence"] = draw.convergence(generations, title)
-    if record.best_robot is not None:
-        drawings["gait"] = draw.gait(record.best_robot)
+    if best is not None:
+        drawings["gait"] = draw.gait(best)
+    path = folder / PAGE
     try:
         for name, figure in drawings.items():
             draw.save(figure, folder / f"{name}.png")
-        path = folder / PAGE
-        drawn = {name: draw.inline_svg(figure, name) for name, figure in drawings.items()}
-        path.write_text(page(record, drawn), encoding="utf-8")
+        svgs = {name: draw.inline_svg(figure, name) for name, figure in drawings.items()}
+        path.write_text(page(history, svgs), encoding="utf-8")
     except OSError as error:
         raise PageError(
-            f"cannot write into {folder}: {error.strerror}; make room there, or copy the run to "
-            "a folder that can be written"
+            f"cannot write into {folder}: {error.strerror}; free some space, or copy the run to a "
+            "folder that can be written"
         ) from None
     return path
 
 
-def page(record: History, figures: Mapping[str, str]) -> str:
-    """The text of the page, with figures (SVG elements) of `convergence` and `gait` where there are."""
-    config, generations = record.config, record.generations
-    reasons = Counter(e.failure.label for e in record.evaluations)
-    video, no_video = _video(record)
-    known = [s.wall_s for s in record.sessions if s.wall_s is not None]
-    in_session = Counter(e.session for e in record.evaluations)
-    own = record.configuration.get("own_optimizer")
-    commands = _commands(record, generations)
+def page(history: History, figures: Mapping[str, str]) -> str:
+    """The text of the page.
+
+    Args:
+        history: the run.
+        figures: SVG elements, `convergence` and `gait`; either can be missing.
+    """
+    config, generations, best = history.config, history.generations, history.best_robot
+    evaluations, sessions, own = history.evaluations, history.sessions, history.own_optimizer
+    reasons = Counter(e.failure.label for e in evaluations)
+    per_session = Counter(e.session for e in evaluations)
+    wall_s = [s.wall_s for s in sessions if s.wall_s is not None]
+    video, no_video = _embed_video(history)
+    commands = _commands(history)
     return render(
         "run.html",
-        {"mm": lambda m: f"{1000 * m:,.1f}", "duration": _duration},
-        name=record.folder.resolve().name,
+        {"mm": lambda m: f"{1000 * m:,.1f}", "duration": _format_duration},
+        name=history.folder.resolve().name,
         commands=commands,
-        width=max(len(line) for line, _ in commands),
+        width=max(len(command) for command, _ in commands),
         config=config,
         own=own,
-        optimizer=f"an optimizer of its own, {own}" if own else OPTIMIZERS[config.optimizer],
+        optimizer=f"the user's own optimizer {own}" if own else OPTIMIZERS[config.optimizer],
         prior="" if own else PRIORS[config.prior],
-        genes=gene_rows(record),
-        changed=list(changed(record.configuration)),
-        configuration=json.dumps(record.configuration, indent=2),
-        finished=record.finished,
-        ended=_ending(record, config, generations),
+        genes=gene_rows(history),
+        changed=list(changed(history.configuration)),
+        configuration=json.dumps(history.configuration, indent=2),
+        finished=history.finished,
+        ending=history.ending() if history.finished else None,
         generations=len(generations),
-        unfinished=len(record.evaluations) - (generations[-1].evaluations if generations else 0),
-        evaluations=len(record.evaluations),
-        failed=len(record.evaluations) - reasons["ok"],
+        incomplete=len(evaluations) - (generations[-1].evaluations if generations else 0),
+        evaluations=len(evaluations),
+        failed=len(evaluations) - reasons["ok"],
         failures=[(f.label, reasons[f.label]) for f in Failure if reasons[f.label]],
-        simulated_s=sum(e.simulated_s for e in record.evaluations),
-        sessions=[(s, in_session[s.number]) for s in record.sessions],
-        wall_s=sum(known),
-        unknown_ends=len(record.sessions) - len(known),
+        simulated_s=sum(e.simulated_s for e in evaluations),
+        sessions=[(session, per_session[session.number]) for session in sessions],
+        wall_s=sum(wall_s),
+        unknown_ends=len(sessions) - len(wall_s),
         episode_s=EPISODE_S,
-        best=record.best_robot,
-        gait=None if record.best_robot is None else measure_gait(record.best_robot),
-        winner=record.best,
+        best=history.best,
+        gait=None if best is None else measure_gait(best),
         figures=figures,
         video=video,
         no_video=no_video,
@@ -118,106 +119,101 @@ def page(record: History, figures: Mapping[str, str]) -> str:
     )
 
 
-def gene_rows(record: History) -> list[GeneRow]:
-    """The genes of the best robot beside their bounds and what they are drawn from; none without one."""
-    if record.best_robot is None:
+def gene_rows(history: History) -> list[GeneRow]:
+    """The genes of the best robot; empty if there is none."""
+    best, config = history.best_robot, history.config
+    if best is None:
         return []
-    config = record.config
-    drawn = config.distributions("mutation" if config.prior == "mutation-only" else "init")
-    said = paper_priors(config.encoding)
-    (best,) = gene_values([record.best_robot.morphology], record.best_robot.gaits)
-    values = best.tolist()
-    return [
-        _gene_row(replace(prior, distribution=d), value)
-        for prior, d, value in zip(said, drawn, values, strict=True)
-    ]
-
-
-def _gene_row(prior: GenePrior, value: float) -> GeneRow:
-    gene: Gene = prior.gene
-    factor, unit = gene.shown
-    span = gene.upper - gene.lower
-
-    def place(v: float) -> float:
-        return min(max((v - gene.lower) / span, 0.0), 1.0)
-
-    row = GeneRow(
-        gene.title, unit, factor * value, factor * gene.lower, factor * gene.upper, place(value),
-        None, None, (0.0, 1.0), None,
-    )  # fmt: skip
-    data = prior.to_dict()
-    if data["mu"] is None or data["sigma"] is None:
-        return row
-    mu, sigma = float(data["mu"]), float(data["sigma"])
-    return row._replace(
-        peak=factor * mu, width=factor * sigma, peak_place=place(mu),
-        band=(place(mu - sigma), place(mu + sigma)),
-    )  # fmt: skip
+    distributions = config.distributions("mutation" if config.prior == "mutation-only" else "init")
+    (values,) = gene_values([best.morphology], best.gaits).tolist()
+    rows = []
+    for prior, distribution, value in zip(
+        paper_priors(config.encoding), distributions, values, strict=True
+    ):
+        gene, (factor, unit) = prior.gene, prior.gene.shown
+        numbers = replace(prior, distribution=distribution).to_dict()
+        peak, width = (
+            None if numbers[name] is None else factor * float(numbers[name] or 0.0)
+            for name in ("mu", "sigma")
+        )
+        bounds = factor * gene.lower, factor * gene.upper
+        rows.append(GeneRow(gene.title, unit, factor * value, *bounds, peak, width))
+    return rows
 
 
 def changed(configuration: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Fields of a configuration that are not the default: name, value and default, as JSON."""
-    default = dict(_flat(RunConfig().to_dict()))
-    for name, value in _flat(configuration):
+    """Settings that are not the default: name, value and default, as JSON."""
+    default = dict(_flatten(RunConfig().to_dict()))
+    for name, value in _flatten(configuration):
         if name in default and json.dumps(value) != json.dumps(default[name]):
             yield name, json.dumps(value), json.dumps(default[name])
 
 
-def _flat(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _flatten(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     for name, value in data.items():
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
+            yield from _flatten(value, f"{prefix}{name}.")
         else:
             yield prefix + name, value
 
 
-def _ending(record: History, config: RunConfig, generations: Sequence[Generation]) -> str | None:
-    """Why a finished run ends with this configuration; None if it would go on, or is not finished."""
-    if not record.finished or not generations:
-        return None
-    last = generations[-1]
-    return config.ending(len(generations), last.simulated_s, last.farthest_m)
+def next_commands(history: History, folder: str) -> list[tuple[str, str]]:
+    """Commands for the next steps with a run, and their purposes.
+
+    Args:
+        history: the run.
+        folder: the run folder as the commands name it, quoted for the shell.
+    """
+    commands = []
+    if history.best is not None:
+        commands += [
+            (f"caterpillar replay {folder}", "simulate the best robot again, and film it"),
+            (f"caterpillar view {folder}", "watch it in the browser, and change it by hand"),
+        ]
+    more = 2 * history.config.generations
+    if history.own_optimizer is None and history.own_objective is None:
+        if not history.finished:
+            commands.append((f"caterpillar resume {folder}", "continue the run"))
+        elif history.ending(more) is None:
+            commands.append((f"caterpillar resume {folder} --generations {more}", "make it longer"))
+    return commands
 
 
-def _commands(record: History, generations: Sequence[Generation]) -> list[tuple[str, str]]:
-    """What can be done with the run, and why one would."""
-    name = shlex.quote(record.folder.resolve().name)
-    said = [
-        (f"caterpillar replay {name}", "simulate the best robot again, and film it"),
-        (f"caterpillar replay {name} --timestep-s 0.0005", "does it survive a finer timestep?"),
-        (f"caterpillar replay {name} --generations 0 5 10 25 50", "the film of its evolution"),
-        (f"caterpillar view {name}", "watch it in the browser, and change it by hand"),
-    ] * (record.best_robot is not None)
-    said.append((f"caterpillar export {name}", "every evaluation as a table"))
-    more = 2 * record.config.generations
-    if record.configuration.get("own_optimizer") is None:
-        if not record.finished:
-            said.append((f"caterpillar resume {name}", "go on"))
-        elif _ending(record, replace(record.config, generations=more), generations) is None:
-            said.append((f"caterpillar resume {name} --generations {more}", "go on for longer"))
-    said.append((f"caterpillar report {name}", "make this page anew"))
-    return said
+def _commands(history: History) -> list[tuple[str, str]]:
+    """All commands of the page, and their purposes."""
+    name = shlex.quote(history.folder.resolve().name)
+    commands = next_commands(history, name)
+    if history.best is not None:
+        commands += [
+            (f"caterpillar replay {name} --timestep-s 0.0005", "check it at a finer timestep"),
+            (f"caterpillar replay {name} --generations 0 5 10 25 50", "film its evolution"),
+        ]
+    return [
+        *commands,
+        (f"caterpillar export {name}", "export all evaluations as a table"),
+        (f"caterpillar report {name}", "write this page again"),
+    ]
 
 
-def _video(record: History) -> tuple[str | None, str]:
-    """The film as a data URL, or None and why not."""
-    path = record.folder / "best.mp4"
-    again = f"caterpillar report {shlex.quote(record.folder.resolve().name)}"
-    if record.best_robot is None:
+def _embed_video(history: History) -> tuple[str | None, str]:
+    """The video as a data URL, or None and the reason."""
+    path, best = history.folder / "best.mp4", history.best_robot
+    again = f"caterpillar report {shlex.quote(history.folder.resolve().name)}"
+    if best is None:
         return None, "There is no robot to film."
     if not path.exists():
-        return None, f"best.mp4 was not made. {again} makes it, where this machine can draw."
-    if not is_video_of(path, record.best_robot):
-        return None, f"best.mp4 is of another robot than best.json. {again} makes it anew."
+        return None, f"There is no best.mp4. {again} makes it on a machine that can draw."
+    if not is_video_of(path, best):
+        return None, f"best.mp4 shows another robot. {again} makes a new one."
     size = path.stat().st_size
     if size > LARGEST_VIDEO_BYTES:
-        return None, f"best.mp4, beside this page, is too large to be in it ({size / 2**20:.0f} MiB)."
+        return None, f"See best.mp4 beside this page; it is too large to embed ({size / 2**20:.0f} MiB)."
     return data_url("video/mp4", path.read_bytes()), ""
 
 
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
+def _format_duration(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     if hours:
         return f"{hours} h {minutes} min"
-    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
+    return f"{minutes} min {seconds} s" if minutes else f"{seconds} s"

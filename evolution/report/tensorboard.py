@@ -1,4 +1,4 @@
-"""Runs followed in TensorBoard."""
+"""Logs of runs for TensorBoard."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Any
 from caterpillar_env.errors import CaterpillarError
 from evolution.run.history import Generation
 
-FOLDER = "tensorboard"  #: within a run's folder
+FOLDER = "tensorboard"  #: name of the log's folder in a run folder
 
 
 class TensorBoard:
-    """Writes what is told of each generation as TensorBoard's scalars, over simulated seconds.
+    """Writes the summary of each generation as TensorBoard scalars over simulated seconds.
 
-    Whatever the folder held is replaced: a resumed run tells all its generations once more.
+    The first generation replaces an earlier log, because a resumed run replays all its generations.
 
     Args:
-        run: the run's folder.
+        run: the run folder.
 
     Raises:
         CaterpillarError: tensorboardX is not installed.
@@ -42,17 +42,17 @@ class TensorBoard:
         if self._writer is not None:
             self._writer.close()
 
-    def generation(self, told: Generation) -> None:
-        """Write one generation."""
+    def generation(self, generation: Generation) -> None:
+        """Write the summary of a generation."""
         if self._writer is None:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._writer = self._make(str(self._folder))
         scalars = {
-            "distance_m/best_so_far": told.best_m,
-            "distance_m/mean_of_generation": told.mean_m,
-            "progress/generation": told.number,
-            "progress/evaluations": told.evaluations,
-        } | {f"failures/{reason}": count for reason, count in told.failures.items()}
+            "distance_m/best_so_far": generation.best_m,
+            "distance_m/mean_of_generation": generation.mean_m,
+            "progress/generation": generation.number,
+            "progress/evaluations": generation.evaluations,
+        } | {f"failures/{reason}": count for reason, count in generation.failures.items()}
         for name, value in scalars.items():
-            self._writer.add_scalar(name, value, global_step=round(told.simulated_s))
+            self._writer.add_scalar(name, value, global_step=round(generation.simulated_s))
         self._writer.flush()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -126,6 +127,17 @@ class History:
     def wall_s(self) -> float | None:
         """Wall time in s of a run that ended in its first session, else None."""
         return self.sessions[0].wall_s if self.sessions else None
+
+    def ending(self, generations: int | None = None) -> str | None:
+        """Why the run is over, in words; None if another generation follows.
+
+        Args:
+            generations: the total number of generations, instead of the configured one.
+        """
+        config = self.config
+        if generations is not None:
+            config = replace(config, generations=generations)
+        return config.ending(len(self.generations), self.simulated_s, self.farthest_m)
 
     @property
     def best_robot(self) -> Robot | None:

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from evolution import cli
-from evolution.run.history import table
+from evolution.run.history import load
 
 MAIN = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); \
 from evolution.cli import main; sys.exit(main())"
@@ -202,7 +202,7 @@ def test_evolve_leaves_record_and_figures(recorded):
     assert {p.name for p in recorded.iterdir()} == {
         "journal.sqlite", ".lock", "best.json", "convergence.png", "gait.png", "report.html",
     }  # fmt: skip
-    assert table(recorded).shape == (4 + 3, 8 + 20)
+    assert load(recorded).table().shape == (4 + 3, 8 + 20)
 
 
 def test_replay_of_a_record_is_identical(recorded, capsys):
@@ -247,8 +247,8 @@ def test_interrupted_run_keeps_its_generations_and_says_so(tmp_path):
     assert process.returncode == 130
     assert "Traceback" not in err
     assert "stopped" in err
-    assert "go on with: caterpillar resume run" in err
-    generation = table(tmp_path / "run")["generation"].to_list()
+    assert "stopped; continue with: caterpillar resume run" in err
+    generation = load(tmp_path / "run").table()["generation"].to_list()
     later = len(generation) - 4  # after the first, three robots each
     assert later % 3 == 0
     assert generation == [0] * 4 + [1 + i // 3 for i in range(later)]

@@ -3,23 +3,25 @@
 import contextlib
 import io
 import json
+import re
+import shutil
 import sqlite3
+import time
 
 import pytest
 from rich.console import Console
 
 from caterpillar_env.physics import Physics
-from caterpillar_env.robot import Robot
 from evolution import cli
 from evolution.cli import running
-from evolution.cli.evolve import PRESETS, _preset
+from evolution.cli.evolve import PRESETS
 from evolution.cli.running import Reporter
 from evolution.config import RunConfig
 from evolution.optimizers.ga import GaConfig
 from evolution.run.evaluators import LocalEvaluator
-from evolution.run.history import table
-from evolution.run.journal import FILE, Journal
-from evolution.run.loop import Generation, Own, evolve, read_configuration
+from evolution.run.history import Generation, load
+from evolution.run.journal import FILE
+from evolution.run.loop import evolve
 
 CONFIG = RunConfig(
     seed=4, generations=1, physics=Physics(num_segments=2, timestep_s=0.01, friction=0.7),
@@ -51,9 +53,9 @@ def elsewhere(tmp_path, monkeypatch):
     return tmp_path
 
 
-def told(number, evaluations, **failures):
+def summary(number, evaluations, *, replayed=False, **failures):
     failed = {"tipped": 0, "veered": 0, **failures}
-    return Generation(number, 0.0123, 0.004, failed, evaluations, 210.0, 60.0, replayed=False)
+    return Generation(number, 0.0123, 0.004, failed, evaluations, 210.0, 60.0, replayed=replayed)
 
 
 # evolve
@@ -69,42 +71,58 @@ def test_quick_preset_is_small():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "expected"),
+    ("flags", "generations", "population"),
     [
-        ([], "paper"),
-        (["--seed", "3"], "paper"),
-        (["--preset", "quick"], "quick"),
-        (["--preset=quick"], "quick"),
-        (["--seed", "3", "--preset", "quick", "--generations", "2"], "quick"),
-        (["--generations", "2", "--preset", "paper"], "paper"),
+        (["--preset", "quick"], 6, 20),
+        (["--preset=quick", "--seed", "3"], 6, 20),
+        (["--generations", "2", "--preset", "quick"], 2, 20),
+        (["--preset", "paper", "--population", "10"], 50, 10),
+        ([], 50, 200),
     ],
     ids=str,
 )
-def test_preset_is_found_among_the_other_flags(arguments, expected):
-    assert _preset(arguments) == expected
+def test_preset_gives_the_defaults_of_the_other_flags(monkeypatch, flags, generations, population):
+    configs = []
+
+    def record(config, folder, **kwargs):
+        configs.append(config)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("evolution.cli.evolve.evolve", record)
+    assert cli.main(["evolve", *flags]) == 130
+    assert configs[0].generations == generations
+    assert configs[0].ga.population == population
 
 
 def test_flags_change_a_preset_and_leave_the_rest_of_it(run):
     folder, _, _ = run
-    with Journal(folder) as journal:
-        assert read_configuration(journal) == (CONFIG, Own())
+    assert load(folder).config == CONFIG
     assert PRESETS["quick"].generations != CONFIG.generations
 
 
 def test_evolve_records_the_same_as_the_function(run, tmp_path):
     folder, _, _ = run
     evolve(CONFIG, tmp_path, evaluator=LocalEvaluator(1))
-    assert table(folder).equals(table(tmp_path))
+    assert load(folder).table().equals(load(tmp_path).table())
     assert (folder / "best.json").read_bytes() == (tmp_path / "best.json").read_bytes()
 
 
-def test_evolve_tells_generations_on_the_error_stream_and_the_best_on_the_output(run):
+def test_progress_goes_to_the_error_stream_and_the_result_to_the_output(run):
     folder, out, err = run
-    assert len(err.splitlines()) == 1
-    assert err.startswith("generation   0  best ")
-    assert f"simulated {table(folder)['simulated_s'].sum():.0f} s" in err
-    best = Robot.load(folder)
-    assert out == f"best: {1000 * best.fitness_m:.1f} mm in 30 s (generation 0), in {folder}\n"
+    generation, ending = err.splitlines()
+    assert generation.startswith("generation   0  best ")
+    assert f"simulated {load(folder).table()['simulated_s'].sum():.0f} s  100 % done" in generation
+    assert ending == "finished: all 1 generations are complete"
+    best = load(folder).best
+    result, page, *commands = out.splitlines()
+    assert result == (
+        f"best: {1000 * best.distance_m:.1f} mm in 30 s, evaluation {best.number} in generation 0"
+    )
+    assert page == f"page: {folder / 'report.html'}"
+    assert [line.partition("  # ")[0] for line in commands] == [
+        f"next: caterpillar replay {folder}", f"next: caterpillar view {folder}",
+        f"next: caterpillar resume {folder} --generations 2",
+    ]  # fmt: skip
 
 
 def test_brackets_in_a_folders_name_are_no_markup(elsewhere, capsys):
@@ -126,50 +144,56 @@ def test_robots_that_all_fail_end_in_a_sentence(elsewhere, capsys):
     assert cli.main([*FLAGS, *BROKEN, "--out", "run"]) == 0
     said = capsys.readouterr()
     assert "3 diverged" in said.err
-    assert "no robot crawled forwards without failing" in said.err.replace("\n", " ")
-    assert "best:" not in said.out
+    assert "best: none, no robot crawled forwards without failing" in said.out
 
 
-def test_lines_of_a_long_run_tell_failures_and_the_time_left():
-    config = RunConfig(generations=3, ga=GaConfig(population=4, hall_of_fame=1))  # 4 + 3 + 3
-    spoken = io.StringIO()
-    with Reporter(config, Console(file=spoken, width=200)) as reporter:
+def test_a_line_tells_failures_progress_and_the_time_left_without_replayed_generations():
+    config = RunConfig(generations=4, ga=GaConfig(population=4, hall_of_fame=1))  # 4 + 3 + 3 + 3
+    output = io.StringIO()
+    with Reporter(config, Console(file=output, width=200)) as reporter:
+        reporter.generation(summary(0, 4, replayed=True))
         reporter.progress(0.5)
-        reporter.generation(told(0, 4, tipped=1, veered=2))
-    line = spoken.getvalue()
-    assert "best   12.3 mm" in line
-    assert "failed: 1 tipped, 2 veered" in line
-    assert "left 1.5 min" in line  # 60 s for 4, and 6 to come
+        time.sleep(0.2)
+        reporter.generation(summary(1, 7, tipped=1, veered=2))
+    replayed, computed = output.getvalue().splitlines()
+    assert "left" not in replayed
+    assert "best   12.3 mm" in computed
+    assert "failed: 1 tipped, 2 veered" in computed
+    assert re.search(r"54 % done, 0\.\d min left$", computed)
 
 
-def test_bar_on_a_terminal_only_moves_forwards():
-    config = RunConfig(generations=3, ga=GaConfig(population=4, hall_of_fame=1))
+@pytest.mark.parametrize("budget_s", [None, 420.0])
+def test_the_share_done_only_grows(budget_s):
+    config = RunConfig(generations=3, budget_s=budget_s, ga=GaConfig(population=4, hall_of_fame=1))
     console = Console(file=io.StringIO(), force_terminal=True, width=120)
     done = []
     with Reporter(config, console) as reporter:
         for number, evaluations in enumerate((4, 7, 10)):
             for share in (0.1, 0.5, 1.0):
                 reporter.progress(share)
-                done.append(reporter._bar.tasks[0].completed)
-            reporter.generation(told(number, evaluations))
-            done.append(reporter._bar.tasks[0].completed)
+                done.append(reporter.share_done)
+            reporter.generation(summary(number, evaluations)._replace(simulated_s=140.0 * (number + 1)))
+            done.append(reporter.share_done)
     assert done == sorted(done)
     assert done[-1] == pytest.approx(1.0)
 
 
-def test_film_is_made_unless_there_is_one_of_this_robot(run, monkeypatch):
-    folder, made = run[0], []
-    monkeypatch.setattr(running, "film", lambda *what: made.append(what))
-    monkeypatch.setattr("evolution.report.run_page.write", lambda folder: folder)
-    best, path, console = Robot.load(folder), folder / "best.mp4", Console(file=io.StringIO())
-    running.picture(folder, console, video=True)
-    path.write_bytes(b"a film of somebody else")
-    running.picture(folder, console, video=False)
-    running.picture(folder, console, video=True)
-    path.write_bytes(b"a film of " + best.digest.encode())
-    running.picture(folder, console, video=True)
+def test_a_film_is_made_unless_there_is_one_of_this_robot(run, monkeypatch):
+    history, made = load(run[0]), []
+    path, console = history.folder / "best.mp4", Console(file=io.StringIO())
+    monkeypatch.setattr(running, "film", lambda *arguments: made.append(arguments))
+    monkeypatch.setattr("evolution.report.run_page.write", lambda history: path)
+    monkeypatch.setattr(
+        "caterpillar_env.drawing.video.is_video_of", lambda path, robot: path.read_bytes() == b"it"
+    )
+    running.write_results(history, console, video=True)
+    path.write_bytes(b"another robot")
+    running.write_results(history, console, video=False)
+    running.write_results(history, console, video=True)
+    path.write_bytes(b"it")
+    running.write_results(history, console, video=True)
     path.unlink()
-    assert [(robot.digest, where) for robot, where, _ in made] == [(best.digest, path)] * 2
+    assert [(robot.digest, where) for robot, where, _ in made] == [(history.best_robot.digest, path)] * 2
 
 
 # resume
@@ -179,30 +203,45 @@ def test_resume_goes_on_and_can_make_a_run_longer(run, elsewhere, capsys):
     assert cli.main([*FLAGS, "--seed", "4", "--out", "short"]) == 0
     assert cli.main(["resume", "short", "--generations", "2", "--no-video"]) == 0
     assert cli.main([*FLAGS, "--seed", "4", "--generations", "2", "--out", "long"]) == 0
-    assert table(elsewhere / "short").drop("session").equals(table(elsewhere / "long").drop("session"))
+    assert (
+        load(elsewhere / "short")
+        .table()
+        .drop("session")
+        .equals(load(elsewhere / "long").table().drop("session"))
+    )
     assert (elsewhere / "short" / "best.json").read_bytes() == (
         elsewhere / "long" / "best.json"
     ).read_bytes()
 
 
+def test_a_finished_run_is_not_run_again(run, tmp_path, capsys):
+    shutil.copytree(run[0], tmp_path / "run")
+    before = {p.name: p.read_bytes() for p in (tmp_path / "run").iterdir()}
+    assert cli.main(["resume", str(tmp_path / "run")]) == 0
+    said = capsys.readouterr()
+    assert said.err == "already finished: all 1 generations are complete\n"
+    assert f"caterpillar resume {tmp_path / 'run'} --generations 2" in said.out
+    assert {p.name: p.read_bytes() for p in (tmp_path / "run").iterdir()} == before
+
+
 def test_resume_mends_a_damaged_journal_when_asked(elsewhere, capsys):
     assert cli.main([*FLAGS, "--seed", "4", "--generations", "3", "--out", "run"]) == 0
-    before = table(elsewhere / "run")
+    before = load(elsewhere / "run").table()
     with contextlib.closing(sqlite3.connect(elsewhere / "run" / FILE)) as db, db:
         db.execute("UPDATE evaluations SET distance_m = 1.0 WHERE evaluation = 4")
     capsys.readouterr()
     assert cli.main(["resume", "run", "--no-video"]) == 1
-    assert "evaluation 4 is not as it was written" in capsys.readouterr().err
+    assert "evaluation 4 was altered" in capsys.readouterr().err
     assert cli.main(["resume", "run", "--repair", "--no-video"]) == 0
     assert "kept 4 evaluations" in capsys.readouterr().err
-    assert table(elsewhere / "run").drop("session").equals(before.drop("session"))
+    assert load(elsewhere / "run").table().drop("session").equals(before.drop("session"))
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nowhere"], "it is no run folder"),
-        (["nowhere", "--repair"], "it is no run folder"),
+        (["nowhere"], "is not a run folder"),
+        (["nowhere", "--repair"], "is not a run folder"),
         ([], "folder"),
         (["run", "--generations", "many"], "--generations"),
         (["run", "--threads", "-1"], "threads = -1"),
@@ -232,7 +271,7 @@ def test_preprocess_prints_a_table_with_every_gene(elsewhere, capsys, monkeypatc
     monkeypatch.setenv("COLUMNS", "200")
     assert cli.main(["preprocess", "--num-segments", "2", "--out", "d.png"]) == 0
     said = capsys.readouterr()
-    for name in ("leg_separation_m", "segment_mass_kg", "gap1_ventral_off_s", "contradiction"):
+    for name in ("leg separation", "segment mass", "gap1 ventral off", "8 to 24 mm", "contradiction"):
         assert name in said.out
     assert "d.png" in said.err
     assert (elsewhere / "d.png").exists()

@@ -55,7 +55,7 @@ def test_replay_tells_how_far_off_the_record_is(still, capsys):
     said = capsys.readouterr().out
     assert said.startswith("fitness ")
     assert "0.0 J" in said
-    assert "recorded 0.02 m: -" in said
+    assert "% of the recorded 0.02 m" in said
 
 
 def test_replay_without_a_record_says_so(still, here, capsys):
@@ -102,7 +102,7 @@ def test_several_robots_are_told_by_name_and_shown_in_one_video(still, run, here
     still_line, run_line = said.out.splitlines()
     assert still_line.startswith("still: fitness ")
     assert run_line.startswith("run: fitness ")
-    assert run_line.endswith("the same as recorded, bit for bit")
+    assert run_line.endswith("identical to the record")
     assert sorted(p.name for p in here.iterdir()) == ["replay.mp4", "still.json"]
 
 
@@ -125,7 +125,7 @@ def test_film_shows_the_best_of_generations_and_the_last_for_later_ones(run, cap
     first, last = said.out.splitlines()
     assert first.startswith("generation 0: fitness ")
     assert last.startswith("generation 2: fitness ")
-    assert "run ends with generation 2, shown for later ones" in said.err
+    assert "run is 2; showing it instead of later ones" in said.err
     (run / "film.mp4").unlink()
 
 
@@ -136,9 +136,10 @@ def test_last_generation_shows_the_best_of_the_run_which_one_bit_less_is_not(run
     assert said["identical"] is True
     best = Robot.load(run)
     assert said["fitness_m"] == best.fitness_m
-    replace(best, fitness_m=float(np.nextafter(best.fitness_m, 1.0))).save(here / "near.json")
+    near_m = float(np.nextafter(best.fitness_m, 1.0))
+    replace(best, fitness_m=near_m).save(here / "near.json")
     assert cli.main(["replay", "near.json", "--no-video"]) == 0
-    assert capsys.readouterr().out.rstrip().endswith("0.0 %")
+    assert capsys.readouterr().out.rstrip().endswith(f"0.0 % of the recorded {near_m!r} m")
 
 
 # Errors
@@ -147,14 +148,14 @@ def test_last_generation_shows_the_best_of_the_run_which_one_bit_less_is_not(run
 @pytest.mark.parametrize(
     ("arguments", "hint"),
     [
-        ([], "give a run folder or the JSON file of a robot"),
-        (["still.json", "--out", "robot.avi"], "a video is an .mp4 or a .gif file; got robot.avi"),
-        (["still.json", "--out", "a.mp4", "--no-video"], "--no-video wants none"),
+        ([], "give one or more run folders"),
+        (["still.json", "--out", "robot.avi"], "must be an .mp4 or a .gif file; got robot.avi"),
+        (["still.json", "--out", "a.mp4", "--no-video"], "which --no-video excludes"),
         (["still.json", "--speed", "0"], "speed = 0.0 must be a positive number"),
         (["still.json", "--width", "99"], "width = 99 must be an even number"),
         (["still.json", "--camera", "front"], "--camera"),
         (["still.json", "still.json", "--width", "64"], "2 robots in 64 x 360 pixels"),
-        (["still.json", "--generations", "0"], "it is no run folder"),
+        (["still.json", "--generations", "0"], "is not a run folder"),
         (["still.json", "still.json", "--generations", "0"], "--generations takes one run folder"),
         (["still.json", "--generations", "0", "-1"], "generations"),
         (["still.json", "--out", "nowhere/robot.mp4"], "cannot write nowhere/robot.mp4"),

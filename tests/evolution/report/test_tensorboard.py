@@ -8,7 +8,7 @@ import pytest
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli
 from evolution.report.tensorboard import FOLDER, TensorBoard
-from evolution.run.history import table
+from evolution.run.history import load
 
 FLAGS = [
     "--num-segments", "2", "--timestep-s", "0.01", "--population", "3", "--hall-of-fame", "1",
@@ -31,7 +31,7 @@ def test_a_run_and_its_resumption_are_followed(tmp_path):
     assert cli.main(tracked) == 0
     assert cli.main(["resume", str(run), "--generations", "3", "--no-video"]) == 0
     points = scalars(run)
-    rows = table(run)
+    rows = load(run).table()
     seconds = rows.group_by("generation", maintain_order=True).agg(polars.col("simulated_s").sum())
     best = points["distance_m/best_so_far"]
     assert [step for step, _ in best] == [round(s) for s in seconds["simulated_s"].cum_sum()]
