@@ -1,4 +1,4 @@
-"""What happens beside learning; usable from rl_zoo3's files too (`callback:`)."""
+"""Callbacks for training, which the `callback` entry of rl_zoo3's hyperparameter files can name."""
 
 from __future__ import annotations
 
@@ -13,19 +13,22 @@ from caterpillar_env.errors import CaterpillarError
 
 
 class InitialDuty(BaseCallback):
-    """Let an untrained policy power each spring for this share of the time.
+    """Set the share of time for which an untrained policy powers each spring.
 
-    A fresh policy powers springs half of the time, at random. As they cool within seconds only, they
-    would stay hot for good: nothing would move, and nothing could be learned.
+    Without it, a new policy powers each spring at random for half of the time. Springs need seconds to
+    cool, so all of them would stay hot, the robot would not move, and the policy would learn nothing.
 
     Args:
         duty: share of the time, in (0, 1).
+
+    Raises:
+        CaterpillarError: `duty` is out of range.
     """
 
     def __init__(self, duty: float) -> None:
         super().__init__()
         if not 0 < duty < 1:
-            raise CaterpillarError(f"duty = {duty} must lie between 0 and 1")
+            raise CaterpillarError(f"duty = {duty} must be between 0 and 1")
         self._duty = duty
 
     def _on_training_start(self) -> None:
@@ -36,16 +39,16 @@ class InitialDuty(BaseCallback):
             if isinstance(self.model.action_space, spaces.MultiBinary):
                 policy.action_net.bias.fill_(float(np.log(self._duty / (1.0 - self._duty))))
                 return
-            # Timings: on and off of each pair in turn, about the middle of the period.
+            # Timing mode: the actions are on and off of each pair, here centred in the period.
             pairs = spaces.flatdim(self.model.action_space) // 2
-            middle = torch.tensor([-self._duty, self._duty]).repeat(pairs)
-            if hasattr(self.model, "weights"):  # ARS: linear, without an output function
-                policy.action_net[-1].bias.copy_(middle)
+            bias = torch.tensor([-self._duty, self._duty]).repeat(pairs)
+            if hasattr(self.model, "weights"):  # ARS: a linear policy without output function
+                policy.action_net[-1].bias.copy_(bias)
                 self.model.weights = torch.nn.utils.parameters_to_vector(policy.parameters()).detach()
-            elif hasattr(policy, "actor"):  # SAC, TQC: through a hyperbolic tangent
-                policy.actor.mu.bias.copy_(torch.atanh(middle))
+            elif hasattr(policy, "actor"):  # SAC, TQC: the output function is tanh
+                policy.actor.mu.bias.copy_(torch.atanh(bias))
             else:
-                policy.action_net.bias.copy_(middle)
+                policy.action_net.bias.copy_(bias)
 
     def _on_step(self) -> bool:
         return True

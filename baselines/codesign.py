@@ -1,4 +1,4 @@
-"""Co-design: CMA-ES proposes bodies, one policy that sees its body crawls in all of them."""
+"""Co-design: CMA-ES proposes bodies, and one policy that observes its body learns in all of them."""
 
 from __future__ import annotations
 
@@ -7,97 +7,87 @@ from typing import Any
 
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecEnv
 
 from baselines.config import POPULATION, TrainConfig, TrainingError
 from baselines.vec_env import CaterpillarVecEnv
+from caterpillar_env.arrays import Array
 from caterpillar_env.morphology import NAMES, Morphology
 from evolution.config import RunConfig
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 
-FROZEN_SHARE = 0.2  #: of the budget, at its end, in which the body stays
+FROZEN_SHARE = 0.2  #: share of the budget, at its end, in which the body no longer changes
 
 
 class CoDesign(BaseCallback):
-    """Gives robots new bodies before each rollout, and tells CMA-ES afterwards how far they got.
+    """Set new bodies before each rollout, and update CMA-ES with their fitness after it.
 
-    A rollout is one episode of every robot. A body's fitness is the mean distance of its robots' first
-    episodes, drawn actions and all; one that failed counts 0.
+    A rollout is one episode per robot. The fitness of a body is the mean distance of its robots in
+    their first episode of the rollout, with the stochastic policy; a failure counts as 0.
 
     Args:
-        config: of the training; its `design` says what prior bodies come from.
-        robots: that learn, a multiple of `POPULATION`.
-        share_spent: how much of the budget is spent.
-
-    Raises:
-        TrainingError: the number of robots does not fit.
+        config: configuration of the training; `design` sets the prior of the bodies.
+        robots: environment of the training; its number of robots must be a multiple of `POPULATION`.
+        share_spent: returns the share of the budget that is spent.
     """
 
     def __init__(
         self, config: TrainConfig, robots: CaterpillarVecEnv, share_spent: Callable[[], float]
     ) -> None:
         super().__init__()
-        if robots.num_envs % POPULATION:
-            raise TrainingError(
-                f"n_envs = {robots.num_envs} must be a multiple of {POPULATION}, the number of "
-                "bodies tried at a time"
-            )
         prior = RunConfig(
             prior="preprocessed" if config.design == "preprocessed" else "uniform",
             physics=config.physics,
         )
-        genes = len(NAMES)
-        self._strategy = CmaEs(
-            prior.distributions()[:genes],
+        self.optimizer = CmaEs(
+            prior.distributions()[: len(NAMES)],
             CmaConfig(cma_population=POPULATION, cma_restarts=False),
             np.random.default_rng(config.seed),
         )
         self._robots, self._share_spent = robots, share_spent
-        self._genomes = np.empty((0, genes))
-        self._first: list[float | None] = []
+        self._genomes = np.empty((0, len(NAMES)))
+        self._first_m: list[float | None] = []  # distance of each robot's first episode; empty: frozen
         self._frozen = False
 
     @property
-    def favourite(self) -> Morphology:
-        """The body at the centre of CMA-ES's search."""
-        return Morphology.from_unit(self._strategy.centre)
+    def mean_genome(self) -> Array:
+        """Mean of CMA-ES's search distribution, (8,)."""
+        return self.optimizer.centre
+
+    @property
+    def mean_body(self) -> Morphology:
+        """The body that `mean_genome` encodes."""
+        return Morphology.from_unit(self.mean_genome)
 
     def _on_rollout_start(self) -> None:
         model: Any = self.model
-        steps = round(self._robots.episode_s / self._robots.step_s)
+        steps = round(self._robots.vector_env.episode_s / self._robots.vector_env.step_s)
         if model.n_steps != steps:
             raise TrainingError(
-                f"n_steps = {model.n_steps} must be {steps}, an episode of "
-                f"{self._robots.episode_s:g} s, where the body is evolved"
+                f"n_steps = {model.n_steps} must be {steps}, the steps of one episode of "
+                f"{self._robots.vector_env.episode_s:g} s, for co-design"
             )
-        self._tell()
+        if self._first_m:
+            first_m = np.maximum(np.array(self._first_m, dtype=float), 0.0)
+            self.optimizer.tell(self._genomes, first_m.reshape(POPULATION, -1).mean(axis=1))
+            self._first_m = []
         if self._frozen:
             return
+        count = self._robots.num_envs
         if self._share_spent() >= 1.0 - FROZEN_SHARE:
             self._frozen = True
-            bodies = [self.favourite] * self._robots.num_envs
+            bodies = [self.mean_body] * count
         else:
-            self._genomes = self._strategy.ask()
-            each = self._robots.num_envs // POPULATION
-            bodies = [Morphology.from_unit(g) for g in self._genomes for _ in range(each)]
-            self._first = [None] * self._robots.num_envs
-        env: VecEnv = self.training_env
-        env.set_options({"morphology": bodies})
-        model._last_obs = env.reset()
-        model._last_episode_starts = np.ones(self._robots.num_envs, dtype=bool)
+            self._genomes = self.optimizer.ask()
+            genomes = np.repeat(self._genomes, count // POPULATION, axis=0)
+            bodies = [Morphology.from_unit(genome) for genome in genomes]
+            self._first_m = [None] * count
+        self.training_env.set_options({"morphology": bodies})
+        model._last_obs = self.training_env.reset()
+        model._last_episode_starts = np.ones(count, dtype=bool)
 
     def _on_step(self) -> bool:
-        if self._first:
-            for row, (done, info) in enumerate(
-                zip(self.locals["dones"], self.locals["infos"], strict=True)
-            ):
-                if done and self._first[row] is None:
-                    self._first[row] = info["distance"] if info["failure"] == "ok" else 0.0
+        for row, first_m in enumerate(self._first_m):
+            if first_m is None and self.locals["dones"][row]:
+                info = self.locals["infos"][row]
+                self._first_m[row] = info["distance"] if info["failure"] == "ok" else 0.0
         return True
-
-    def _tell(self) -> None:
-        if not self._first:
-            return
-        crawled = np.maximum(np.array(self._first, dtype=float), 0.0)
-        self._strategy.tell(self._genomes, crawled.reshape(POPULATION, -1).mean(axis=1))
-        self._first = []

@@ -1,4 +1,4 @@
-"""Trainings side by side."""
+"""Comparison of trainings: groups, summaries and learning curves."""
 
 from __future__ import annotations
 
@@ -10,94 +10,73 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from baselines.config import TrainConfig, TrainingError
-from baselines.records import Record, best_of, evaluations
+from baselines.config import TrainingError
+from baselines.history import Training
 from caterpillar_env.files import writing
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.task import Failure
+from evolution.run.journal import Evaluation
 
 
 class Summary(NamedTuple):
-    """What trainings that differ in the seed alone came to; distances of deterministic policies."""
+    """Summary of trainings that differ only in the seed; distances are of deterministic policies."""
 
     name: str
     runs: int
     simulated_s: float  #: median
-    untrained_m: float  #: of the first evaluation, before any learning; median
-    median_m: float  #: of each training's best policy; 0 where all failed
-    least_m: float
-    most_m: float
+    untrained_m: float  #: median distance before any learning
+    median_m: float  #: median distance of each training's best policy; 0 if there is none
+    least_m: float  #: least distance of these policies
+    most_m: float  #: greatest distance of these policies
 
 
-def title(config: TrainConfig) -> str:
-    """What a training is, in words."""
-    words: list[str] = [config.algorithm, config.mode]
-    if config.open_loop:
-        words.append("bandit")
-    if config.design != "fixed":
-        words.append(f"{config.design} co-design")
-    elif config.morphology != Morphology():
-        words.append("given body")
-    if config.randomize:
-        words.append("randomised")
-    return " ".join(words)
+def group(trainings: Sequence[Training]) -> dict[str, list[Training]]:
+    """Group trainings that differ only in the seed; the keys are unique names."""
+    groups: dict[str, list[Training]] = {}
+    for training in trainings:
+        groups.setdefault(repr(replace(training.config, seed=0)), []).append(training)
+    named: dict[str, list[Training]] = {}
+    for members in groups.values():
+        name = members[0].config.title
+        number = 1 + sum(known.split(" #")[0] == name for known in named)
+        named[name if number == 1 else f"{name} #{number}"] = members
+    return named
 
 
-def grouped(records: Mapping[Path, Record]) -> dict[str, list[Path]]:
-    """Folders of trainings that differ in the seed alone, by name."""
-    groups: list[tuple[TrainConfig, list[Path]]] = []
-    for folder, record in records.items():
-        for config, folders in groups:
-            if config == replace(record.config, seed=config.seed):
-                folders.append(folder)
-                break
-        else:
-            groups.append((record.config, [folder]))
-    names: dict[str, list[Path]] = {}
-    for config, folders in groups:
-        name = title(config)
-        number = sum(known.split(" #")[0] == name for known in names)
-        names[name if not number else f"{name} #{number + 1}"] = folders
-    return names
-
-
-def summary(name: str, folders: Sequence[Path]) -> Summary:
-    """The row of a group.
+def summarize(name: str, trainings: Sequence[Training]) -> Summary:
+    """Summarize a group of trainings.
 
     Raises:
-        TrainingError: a training was not evaluated yet.
+        TrainingError: a training has no evaluation yet.
     """
-    best, first, spent = [], [], []
-    for folder in folders:
-        points = evaluations(folder)
-        if not points:
+    best_m, untrained_m, spent_s = [], [], []
+    for _, history in trainings:
+        if not history.evaluations:
             raise TrainingError(
-                f"{folder} holds no evaluation yet: wait for its training, or leave it out"
+                f"{history.folder} has no evaluation yet; wait for its training, or leave it out"
             )
-        top = best_of(points)
-        best.append(0.0 if top is None else top.distance_m)
-        first.append(points[0].distance_m if points[0].failure == "ok" else 0.0)
-        spent.append(points[-1].simulated_s)
+        best_m.append(0.0 if history.best is None else history.best.distance_m)
+        untrained_m.append(_distance_m(history.evaluations[0]))
+        spent_s.append(history.simulated_s)
     return Summary(
-        name, len(folders), float(np.median(spent)), float(np.median(first)),
-        float(np.median(best)), float(min(best)), float(max(best)),
+        name, len(trainings), float(np.median(spent_s)), float(np.median(untrained_m)),
+        float(np.median(best_m)), min(best_m), max(best_m),
     )  # fmt: skip
 
 
-def draw(groups: Mapping[str, Sequence[Path]], path: Path) -> None:
-    """Distance of the deterministic policy over simulated time: every training, failures at 0.
+def draw(groups: Mapping[str, Sequence[Training]], path: Path) -> None:
+    """Plot the distance of every training's deterministic policy over simulated time.
 
     Raises:
         FileError: the file cannot be written.
     """
     figure = Figure(figsize=(8, 4.6), layout="constrained")
     axis = figure.subplots()
-    for number, (name, folders) in enumerate(groups.items()):
-        for place, folder in enumerate(folders):
-            points = evaluations(folder)
+    for number, (name, trainings) in enumerate(groups.items()):
+        for index, (_, history) in enumerate(trainings):
             axis.plot(
-                [p.simulated_s / 1000 for p in points],
-                [1000 * p.distance_m if p.failure == "ok" else 0.0 for p in points],
-                color=f"C{number}", linewidth=1.2, alpha=0.8, label=name if place == 0 else None,
+                np.cumsum([e.simulated_s for e in history.evaluations]) / 1000,
+                [1000 * _distance_m(e) for e in history.evaluations],
+                color=f"C{number}", linewidth=1.2, alpha=0.8, label=name if index == 0 else None,
             )  # fmt: skip
     axis.set(
         xlabel="simulated time, training and evaluation (1000 s)",
@@ -108,3 +87,7 @@ def draw(groups: Mapping[str, Sequence[Path]], path: Path) -> None:
         axis.legend(fontsize="small")
     with writing(path):
         figure.savefig(path, dpi=110)
+
+
+def _distance_m(evaluation: Evaluation) -> float:
+    return evaluation.distance_m if evaluation.failure is Failure.NONE else 0.0

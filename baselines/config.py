@@ -1,18 +1,14 @@
-"""What a training is asked to do, and its hyper-parameters in rl_zoo3's schema."""
+"""The configuration of a training, and its hyperparameters in the schema of rl_zoo3."""
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
-from copy import deepcopy
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import yaml
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.utils import LinearSchedule
 
 from caterpillar_env.errors import CaterpillarError, check_choice, from_mapping
 from caterpillar_env.gait import GAIT_PERIOD_S
@@ -25,34 +21,34 @@ AlgorithmName = Literal["ppo", "a2c", "sac", "tqc", "ars"]
 Mode = Literal["timing", "switch"]
 Design = Literal["fixed", "uniform", "preprocessed"]
 ENVIRONMENTS: dict[str, str] = {"timing": "CaterpillarSMA-v0", "switch": "CaterpillarSMASwitch-v0"}
-POPULATION = 8  #: bodies that CMA-ES proposes at a time
-ROBOTS_PER_BODY = 2  #: that crawl in each of them
+POPULATION = 8  #: number of bodies that CMA-ES proposes per generation
+ROBOTS_PER_BODY = 2  #: number of robots that crawl in each of these bodies
 HYPERPARAMETERS = Path(__file__).with_name("hyperparams")
-_SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf", "delta_std")
+_PERIODS_PER_EPISODE = round(EPISODE_S / GAIT_PERIOD_S)
 
 
 class TrainingError(CaterpillarError):
-    """A training cannot start or be read as asked."""
+    """A training cannot be started or read."""
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Everything that decides what a training computes.
+    """Every setting that affects the result of a training.
 
     Raises:
-        TrainingError: a value is out of range.
+        TrainingError: a value is out of range, or two settings exclude each other.
     """
 
-    algorithm: AlgorithmName = "ppo"  #: of stable-baselines3 and its contrib package
+    algorithm: AlgorithmName = "ppo"  #: learning algorithm of stable-baselines3 or sb3-contrib
     mode: Mode = "switch"  #: timing: a step is a gait period; switch: a step is 0.1 s or a multiple
-    open_loop: bool = False  #: timing only: one action for the whole episode, a bandit
-    design: Design = "fixed"  #: fixed: one body; else CMA-ES evolves it with the policy, from this prior
-    seed: int = 0  #: of all that the training draws; the springs have --mismatch-seed
-    budget_s: float = 30_000.0  #: simulated seconds, of training and evaluation together
-    evaluations: int = 20  #: how often the policy is judged, spread over the budget
-    morphology: Morphology = field(default_factory=Morphology)  #: the body, where it is fixed
-    #: NAME LEAST MOST each, drawn evenly at every reset in training: friction, mismatch_std,
-    #: spring_force, mass or ambient_c
+    open_loop: bool = False  #: timing mode only: one action per episode, which makes it a bandit
+    design: Design = "fixed"  #: fixed: one body; otherwise CMA-ES evolves the body, from this prior
+    seed: int = 0  #: seed of the training; the strengths of the springs depend on --mismatch-seed
+    budget_s: float = 30_000.0  #: simulated seconds, for training and evaluation together
+    evaluations: int = 20  #: number of evaluations of the policy, spread over the budget
+    morphology: Morphology = field(default_factory=Morphology)  #: the body, for design fixed
+    #: domain randomization during training: NAME LOW HIGH for each of friction, mismatch_std,
+    #: spring_force, mass or ambient_c, sampled uniformly at every reset
     randomize: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     physics: Physics = field(default_factory=Physics)
 
@@ -60,27 +56,23 @@ class TrainConfig:
         for name, kind in (("algorithm", AlgorithmName), ("mode", Mode), ("design", Design)):
             check_choice(name, getattr(self, name), kind, TrainingError)
         if not 0 <= self.seed < 2**32:
-            raise TrainingError(f"seed = {self.seed} must be a whole number from 0 to {2**32 - 1}")
+            raise TrainingError(f"seed = {self.seed} must be an integer from 0 to {2**32 - 1}")
         if not EPISODE_S <= self.budget_s < np.inf:
             raise TrainingError(
-                f"budget_s = {self.budget_s:g} must be at least {EPISODE_S:g}, the simulated seconds of "
-                "one episode"
+                f"budget_s = {self.budget_s:g} must be at least {EPISODE_S:g}, the length of one episode"
             )
         if self.evaluations < 1:
             raise TrainingError(f"evaluations = {self.evaluations} must be at least 1")
         if self.open_loop and self.mode != "timing":
-            raise TrainingError(
-                f"open_loop holds one choice of timings: it needs mode timing; got {self.mode}"
-            )
+            raise TrainingError(f"open_loop requires mode timing; got mode {self.mode}")
         if self.design != "fixed" and (self.algorithm != "ppo" or self.open_loop):
             raise TrainingError(
-                f"design = {self.design!r}: a body is evolved around ppo's closed-loop policy only; "
-                "choose algorithm ppo without open_loop, or design fixed"
+                f"design = {self.design!r} requires algorithm ppo without open_loop; choose these, or "
+                "design fixed"
             )
         if self.design != "fixed" and self.morphology != Morphology():
             raise TrainingError(
-                f"design = {self.design!r} evolves the body: leave out the given one, or choose "
-                "design fixed"
+                f"design = {self.design!r} evolves the body: do not give a body, or choose design fixed"
             )
         if (randomization := Randomization.of(self.randomize)) is not None:
             randomization.check(self.physics)
@@ -89,93 +81,84 @@ class TrainConfig:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> TrainConfig:
-        """The configuration in plain JSON, as `to_dict` gives it; what is missing is the default.
+        """Make a configuration from plain JSON, as `to_dict` returns it; missing fields get defaults.
 
         Raises:
-            CaterpillarError: a field is unknown or unusable.
+            CaterpillarError: a field is unknown or has an invalid value.
         """
-        made = dict(data)
-        if "physics" in made:
-            made["physics"] = Physics.of(made["physics"])
-        if "morphology" in made:
-            made["morphology"] = Morphology.of(made["morphology"])
-        return from_mapping(cls, made, "a training", TrainingError)
+        values = dict(data)
+        for name, kind in (("physics", Physics), ("morphology", Morphology)):
+            if name in values:
+                values[name] = kind.of(values[name])
+        return from_mapping(cls, values, "a training", TrainingError)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain JSON."""
+        """Return the configuration as plain JSON."""
         return asdict(self) | {"randomize": {k: list(v) for k, v in self.randomize.items()}}
 
     @property
     def env_id(self) -> str:
-        """The environment's name."""
+        """Id of the Gymnasium environment."""
         return ENVIRONMENTS[self.mode]
 
     @property
-    def periods_per_step(self) -> int:
-        """Gait periods in a step of a bandit: all of an episode."""
-        return round(EPISODE_S / GAIT_PERIOD_S)
+    def title(self) -> str:
+        """Description of the training in a few words."""
+        words: list[str] = [self.algorithm, self.mode]
+        if self.open_loop:
+            words.append("bandit")
+        if self.design != "fixed":
+            words.append(f"{self.design} co-design")
+        elif self.morphology != Morphology():
+            words.append("given body")
+        if self.randomize:
+            words.append("randomized")
+        return " ".join(words)
+
+    def env_kwargs(self) -> dict[str, Any]:
+        """Return the environment's arguments that are the same in training and evaluation."""
+        return {"physics": self.physics, **hyperparameters(self).env_kwargs}
 
 
 class Hyperparameters(NamedTuple):
-    """What a training's file says, taken apart."""
+    """Hyperparameters of one training, as plain JSON."""
 
-    model: dict[str, Any]  #: keywords of the algorithm
-    n_envs: int  #: robots that learn side by side
-    normalize: dict[str, Any] | None  #: keywords of VecNormalize; None: not normalised
-    env_kwargs: dict[str, Any]  #: of the environment
-    callbacks: list[BaseCallback]
-
-    def plain(self) -> dict[str, Any]:
-        """As plain JSON, without the callbacks: to keep, and to compare."""
-        shown = (int, float, str, dict)
-        model = {k: v if isinstance(v, shown) else str(v) for k, v in self.model.items()}
-        kept = deepcopy(self._replace(model=model, callbacks=[])._asdict())  # learners add to theirs
-        del kept["callbacks"]
-        return kept
+    n_envs: int  #: number of robots that learn side by side
+    env_kwargs: dict[str, Any]  #: arguments of the environment
+    normalize: dict[str, Any] | None  #: arguments of VecNormalize; None: no normalization
+    callback: list[Any]  #: paths of callback classes, or mappings from a path to arguments
+    model: dict[str, Any]  #: arguments of the algorithm
 
 
 def hyperparameters(config: TrainConfig) -> Hyperparameters:
-    """What `hyperparams/ALGORITHM.yml` says of the environment, in rl_zoo3's schema.
+    """Read `hyperparams/ALGORITHM.yml`, and adapt it to bandits and co-design.
 
     Raises:
-        TrainingError: it says nothing of it; the algorithm cannot choose such actions.
+        TrainingError: the algorithm does not support the environment's action space.
     """
     path = HYPERPARAMETERS / f"{config.algorithm}.yml"
     table = yaml.safe_load(path.read_text(encoding="utf-8"))
     if config.env_id not in table:
         modes = ", ".join(mode for mode, env_id in ENVIRONMENTS.items() if env_id in table)
         raise TrainingError(
-            f"{config.algorithm} cannot learn in mode {config.mode!r}; it can in {modes}"
+            f"{config.algorithm} does not support mode {config.mode!r}; it supports {modes}"
         )
-    settings: dict[str, Any] = table[config.env_id]
-    settings.pop("n_timesteps")  # the budget ends a training here
-    n_envs = settings.pop("n_envs", 1)
-    env_kwargs = settings.pop("env_kwargs", {})
-    normalize = settings.pop("normalize", False)
-    callbacks = [_callback(entry) for entry in settings.pop("callback", [])]
-    for name in _SCHEDULED:
-        if isinstance(value := settings.get(name), str):
-            settings[name] = LinearSchedule(float(value.removeprefix("lin_")), 0.0, 1.0)
+    model: dict[str, Any] = table[config.env_id]
+    model.pop("n_timesteps")  # used by rl_zoo3; here the budget ends a training
+    n_envs = model.pop("n_envs", 1)
+    env_kwargs = model.pop("env_kwargs", {})
+    normalize = model.pop("normalize", False)
+    callback = model.pop("callback", [])
     if config.design != "fixed":
         n_envs = POPULATION * ROBOTS_PER_BODY
     if config.open_loop:
-        env_kwargs["frame_skip"] = config.periods_per_step
-        for name in ("n_steps", "learning_starts"):  # as many episodes
-            if name in settings:
-                settings[name] = max(1, settings[name] // config.periods_per_step)
-        if "gamma" in settings:
-            settings["gamma"] = 0.0  # nothing comes after the one decision
-    kwargs = None
+        env_kwargs["frame_skip"] = _PERIODS_PER_EPISODE
+        for name in ("n_steps", "learning_starts"):  # keep the number of episodes
+            if name in model:
+                model[name] = max(1, model[name] // _PERIODS_PER_EPISODE)
+        if "gamma" in model:
+            model["gamma"] = 0.0  # an episode is a single step
     if normalize:
-        kwargs = {"gamma": settings.get("gamma", 0.99)} | (
-            normalize if isinstance(normalize, dict) else {}
-        )
-    return Hyperparameters(settings, n_envs, kwargs, env_kwargs, callbacks)
-
-
-def _callback(entry: str | dict[str, dict[str, Any]]) -> BaseCallback:
-    """An entry of `callback`: the path of a class, or that with its keywords."""
-    path, keywords = (entry, {}) if isinstance(entry, str) else next(iter(entry.items()))
-    module, name = path.rsplit(".", 1)
-    made: BaseCallback = getattr(importlib.import_module(module), name)(**keywords)
-    return made
+        arguments = normalize if isinstance(normalize, dict) else {}
+        normalize = {"gamma": model.get("gamma", 0.99)} | arguments
+    return Hyperparameters(n_envs, env_kwargs, normalize or None, callback, model)

@@ -1,7 +1,8 @@
-"""Trained policies: what is kept of them, and robots that crawl by them."""
+"""Trained policies, and the robots that they drive."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -14,8 +15,8 @@ from stable_baselines3 import A2C, PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from baselines.config import TrainConfig, TrainingError, hyperparameters
-from baselines.records import Record, best_of, evaluations
+from baselines.config import TrainConfig, TrainingError
+from baselines.history import Training
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.files import write_json
@@ -30,150 +31,163 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
 Which = Literal["best", "last"]
 
 
-def settings(config: TrainConfig, **other: Any) -> dict[str, Any]:
-    """Arguments of the environment that a policy was trained for, and is judged in."""
-    return {"physics": config.physics, **hyperparameters(config).env_kwargs, **other}
+def make_env(config: TrainConfig, **kwargs: Any) -> CaterpillarEnv:
+    """Make the environment in which policies are evaluated: one robot, without randomization."""
+    settings = config.env_kwargs() | kwargs
+    return CaterpillarEnv(config.morphology, action_mode=config.mode, threads=1, **settings)
 
 
-def judge(config: TrainConfig, **other: Any) -> CaterpillarEnv:
-    """Make the environment in which policies are evaluated, without randomization."""
-    return CaterpillarEnv(action_mode=config.mode, **settings(config, **other))
-
-
-class AtRandom:
-    """Chooses every action evenly from the space."""
+class RandomActor:
+    """Samples every action uniformly from the action space."""
 
     def __init__(self, space: spaces.Space[Any], seed: int) -> None:
         self._space = space
         space.seed(seed)
 
     def predict(self, observation: Any, deterministic: bool = False) -> tuple[NDArray[Any], None]:
-        """An action for each observation."""
+        """Return one action per observation, and no state."""
         return np.array([self._space.sample() for _ in observation]), None
 
 
 @dataclass(frozen=True)
 class Policy:
-    """A policy with the normalisation of observations that it was trained with."""
+    """A policy, and the normalization of observations that it was trained with."""
 
-    actor: BaseAlgorithm | AtRandom
+    actor: BaseAlgorithm | RandomActor
     normalizer: VecNormalize | None
+
+    @classmethod
+    def load(cls, path: Path, config: TrainConfig) -> Policy:
+        """Load what `save` wrote.
+
+        Args:
+            path: the .zip file.
+            config: configuration of the training.
+
+        Raises:
+            TrainingError: the file cannot be read.
+        """
+        try:
+            model = ALGORITHMS[config.algorithm].load(path, device="cpu")
+        except (OSError, ValueError) as error:
+            raise TrainingError(f"cannot read the policy {path}: {error}") from None
+        statistics = _statistics(path)
+        if not statistics.exists():
+            return cls(model, None)
+        env = CaterpillarVecEnv(config.env_id, 1, **config.env_kwargs())
+        normalizer = VecNormalize.load(str(statistics), env)
+        normalizer.training = False
+        return cls(model, normalizer)
+
+    def save(self, path: Path) -> None:
+        """Write `NAME.zip` and, if observations are normalized, `NAME_vecnormalize.pkl`."""
+        partial = path.with_name(f".{path.name}.partial")
+        if self.normalizer is not None:
+            self.normalizer.save(str(partial))
+            os.replace(partial, _statistics(path))
+        if isinstance(self.actor, BaseAlgorithm):
+            self.actor.save(partial, exclude=["tensorboard_log"])
+            os.replace(partial, path)
 
     def crawl(
         self,
-        robot: CaterpillarEnv,
+        env: CaterpillarEnv,
         seed: int,
         morphology: Morphology,
         *,
         deterministic: bool = True,
         on_interval: OnInterval | None = None,
     ) -> Outcomes:
-        """One episode of a single robot.
+        """Run one episode.
 
         Args:
-            robot: see `judge`.
-            seed: of the episode.
+            env: see `make_env`.
+            seed: seed of the episode.
             morphology: the body.
-            deterministic: whether the likeliest action is taken, not a drawn one.
-            on_interval: see `Crawl.run`.
+            deterministic: whether to take the most likely action instead of sampling.
+            on_interval: see `CaterpillarEnv`.
         """
-        robot.on_interval = on_interval
-        seen, _ = robot.reset(seed=seed, options={"morphology": morphology})
+        env.on_interval = on_interval
+        observation, _ = env.reset(seed=seed, options={"morphology": morphology})
         ended = False
         while not ended:
-            batch: Any = seen[None]
+            batch: Any = observation[None]
             if self.normalizer is not None:
                 batch = self.normalizer.normalize_obs(batch)
             action, _ = self.actor.predict(batch, deterministic=deterministic)
-            seen, _, terminated, truncated, _ = robot.step(action[0])
+            observation, _, terminated, truncated, _ = env.step(action[0])
             ended = terminated or truncated
-        return Outcomes.of(robot.crawl.progress())
+        return Outcomes.of(env.crawl.progress())
 
 
-def load(folder: Path, which: Which = "best") -> Policy:
-    """A policy of a training.
-
-    Raises:
-        TrainingError: the folder holds no training, or none that was evaluated.
-    """
-    config = Record.load(folder).config
-    try:
-        model = ALGORITHMS[config.algorithm].load(folder / f"{which}.zip", device="cpu")
-    except (OSError, ValueError) as error:
-        raise TrainingError(f"{folder} holds no policy that can be read: {error}") from None
-    statistics = folder / f"{which}_vecnormalize.pkl"
-    if not statistics.exists():
-        return Policy(model, None)
-    normalizer = VecNormalize.load(
-        str(statistics), CaterpillarVecEnv(config.env_id, 1, **settings(config))
-    )
-    normalizer.training = False
-    return Policy(model, normalizer)
+def _statistics(path: Path) -> Path:
+    return path.with_name(f"{path.stem}_vecnormalize.pkl")
 
 
 @dataclass(frozen=True)
 class TrainedRobot:
-    """A body that crawls by a policy, in some physics: what `Robot` is to a genome."""
+    """A body driven by a policy: the counterpart of `Robot`, see `AnyRobot`."""
 
     policy: Policy
-    config: TrainConfig
+    config: TrainConfig  #: configuration of the training
     morphology: Morphology
     physics: Physics
-    fitness_m: float | None = None  #: as recorded
+    fitness_m: float | None = None  #: recorded distance, m
 
     @classmethod
     def load(cls, folder: Path, which: Which = "best") -> TrainedRobot:
-        """The robot of a training, with the body that the policy was judged in.
+        """Load the best or the last policy of a training, with the body that it was evaluated in.
 
         Raises:
-            TrainingError: the folder holds no training, or none that was evaluated.
+            CaterpillarError: the folder contains no training, or no such policy yet.
         """
-        config = Record.load(folder).config
-        rows = evaluations(folder)
-        if not rows:
+        training = Training.read(folder)
+        history = training.history
+        evaluation = history.best
+        if which == "last" and history.evaluations:
+            evaluation = history.evaluations[-1]
+        if evaluation is None:
             raise TrainingError(
-                f"{folder} holds no policy that was evaluated: wait for its training, or train anew"
+                f"{folder} contains no {which} policy: no policy was evaluated yet, or none crawled "
+                "forwards without failing (in that case use --which last)"
             )
-        farthest = best_of(rows) or max(rows, key=lambda row: row.distance_m)
-        row = rows[-1] if which == "last" else farthest
-        return cls(load(folder, which), config, row.morphology, config.physics, row.distance_m)
+        config = training.config
+        policy = Policy.load(folder / f"{which}.zip", config)
+        return cls(policy, config, training.body(evaluation), config.physics, evaluation.distance_m)
 
     def simulate(
         self,
         timestep_s: float | None = None,
         *,
         seed: int | None = None,
-        deterministic: bool = True,
-        on_interval: OnInterval | None = None,
+        **kwargs: Any,
     ) -> Outcomes:
-        """Let it crawl for an episode, at its own timestep or another.
+        """Run one episode.
 
         Args:
-            timestep_s: of the physics, s.
-            seed: of the episode; the training's by default.
-            deterministic: see `Policy.crawl`.
-            on_interval: see `Crawl.run`.
+            timestep_s: timestep of the physics, s; by default the robot's own.
+            seed: seed of the episode; by default that of the training.
+            **kwargs: other arguments of `Policy.crawl`.
         """
         physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
-        return self.policy.crawl(
-            judge(self.config, physics=physics), self.config.seed if seed is None else seed,
-            self.morphology, deterministic=deterministic, on_interval=on_interval,
-        )  # fmt: skip
+        env = make_env(self.config, physics=physics)
+        seed = self.config.seed if seed is None else seed
+        return self.policy.crawl(env, seed, self.morphology, **kwargs)
 
     @property
     def digest(self) -> str:
-        """Tells it from any other robot: of what `to_dict` says, and how far it got with its policy."""
+        """Identifies the robot; see `AnyRobot`."""
         return digest_of(self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain JSON, without the policy itself."""
-        body, asked = self.morphology.to_dict(), self.config.to_dict()
-        return {"fitness_m": self.fitness_m, "morphology": body, "training": asked}
+        """Return plain JSON, without the weights of the policy."""
+        return {
+            "fitness_m": self.fitness_m,
+            "morphology": self.morphology.to_dict(),
+            "training": self.config.to_dict(),
+        }
 
     def save(self, path: Path) -> None:
-        """Write `to_dict` as JSON, and beside it the policy (.zip) and the normalisation (.pkl)."""
+        """Write `to_dict` to a JSON file, and the policy beside it."""
         write_json(path, self.to_dict())
-        if isinstance(self.policy.actor, BaseAlgorithm):
-            self.policy.actor.save(path.with_suffix(".zip"))
-        if self.policy.normalizer is not None:
-            self.policy.normalizer.save(str(path.with_suffix(".pkl")))
+        self.policy.save(path.with_suffix(".zip"))

@@ -1,41 +1,36 @@
-"""Reinforcement learning at a budget of simulated seconds, training and evaluation both counted."""
+"""Reinforcement learning within a budget of simulated seconds, which evaluations count towards."""
 
 from __future__ import annotations
 
-import os
-import shutil
-import time
+import importlib
 from collections.abc import Callable
-from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from baselines.codesign import CoDesign
 from baselines.config import TrainConfig, TrainingError, hyperparameters
-from baselines.policy import ALGORITHMS, Policy, judge, settings
-from baselines.records import TENSORBOARD, Point, Record, append
+from baselines.history import Training, make_configuration
+from baselines.policy import ALGORITHMS, Policy, make_env
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.files import make_folder
-from caterpillar_env.task import EPISODE_S, label
-from evolution.run.records import fingerprint
+from caterpillar_env.task import EPISODE_S
+from evolution.run.history import History
+from evolution.run.journal import Journal
 
-_LEAST_ROLLOUTS = 5  #: that bodies are to evolve in
-
-
-class TrainResult(NamedTuple):
-    """What a training leaves in memory; the folder holds the same and more."""
-
-    points: list[Point]
-    best: Point | None  #: of policies whose robot did not fail, if there was one
-    finished: bool
+TENSORBOARD = "tensorboard"
+_PACKAGES = ("stable-baselines3", "sb3-contrib", "torch", "gymnasium")
+_MIN_ROLLOUTS = 5  #: least number of rollouts for co-design
 
 
-class _BudgetSpent(Exception):  # noqa: N818  an end, no error
+class _BudgetSpent(Exception):  # noqa: N818  it signals a normal end
     """The budget is spent."""
 
 
@@ -43,137 +38,145 @@ def train(
     config: TrainConfig,
     folder: Path,
     *,
-    on_point: Callable[[Point], None] | None = None,
+    on_evaluation: Callable[[History], None] | None = None,
     on_progress: Callable[[float], None] | None = None,
     tensorboard: bool = False,
     threads: int = 0,
-) -> TrainResult:
-    """Train a policy and keep it in a new folder.
+) -> Training:
+    """Train a policy, and record the training in a new folder.
 
-    Writes `training.json` (what was asked and under which versions), `evaluations.csv`, and after every
-    evaluation `last.zip` (the policy) with `last_vecnormalize.pkl` (the normalisation that it needs);
-    the best so far as `best` likewise. A KeyboardInterrupt ends the training; what was kept stays.
-    PyTorch runs on one thread, so that results do not depend on how many there are, and all global
-    generators are seeded: a training that is done anew has the same bits.
+    The folder gets a journal, the last policy (`last.zip`, `last_vecnormalize.pkl`), and the best policy
+    (`best.zip`, `best_vecnormalize.pkl`), which belongs to `History.best`. A KeyboardInterrupt ends the
+    training and keeps these files. A training cannot be resumed. PyTorch runs on one thread and all
+    global generators are seeded, so that a repeated training gives the same bits.
 
     Args:
-        config: what to compute.
-        folder: made here; must not hold anything yet.
-        on_point: told of every evaluation.
-        on_progress: told the simulated seconds spent so far, after every step.
-        tensorboard: whether to log what the algorithm says of itself.
-        threads: that robots are stepped on; 0 for all cores. Results do not depend on it.
+        config: configuration of the training.
+        folder: is created; must be empty if it exists.
+        on_evaluation: called after every evaluation.
+        on_progress: called after every step with the simulated seconds spent so far.
+        tensorboard: whether to write the algorithm's logs for TensorBoard.
+        threads: number of simulation threads; 0 uses all cores. Results do not depend on it.
 
     Raises:
         FileError: the folder is not empty or cannot be written.
-        TrainingError: the budget is too little, or tensorboard is not installed.
+        TrainingError: the budget is too small, or TensorBoard is not installed.
     """
-    learning = hyperparameters(config)
-    began = time.perf_counter()
+    if tensorboard and find_spec("tensorboard") is None:
+        raise TrainingError("TensorBoard is not installed: pip install 'caterpillar-sma[tensorboard]'")
     robots = CaterpillarVecEnv(
-        config.env_id, learning.n_envs, threads=threads, morphology=config.morphology,
-        **settings(config, randomization=config.randomize),
+        config.env_id, hyperparameters(config).n_envs, threads=threads, morphology=config.morphology,
+        randomization=config.randomize, **config.env_kwargs(),
     )  # fmt: skip
     reserve_s = _check_budget(config, robots)
-    make_folder(folder, " (a training cannot be resumed: one that was stopped is done anew)")
-    record = Record(config, learning.plain(), _versions(), finished=False, wall_s=None, simulated_s=0.0)
-    record.save(folder)
-    env: Any = VecMonitor(robots)
-    if learning.normalize is not None:
-        env = VecNormalize(env, **learning.normalize)
-    normalizer = env if learning.normalize is not None else None
-    keeper = _Keeper(config, folder, robots, normalizer, reserve_s, on_point, on_progress)
-    callbacks: list[BaseCallback] = [*learning.callbacks, keeper]
-    if config.design != "fixed":
-        keeper.designs = CoDesign(config, robots, lambda: keeper.spent_s / config.budget_s)
-        callbacks.insert(0, keeper.designs)
-    before, finished = torch.get_num_threads(), True
+    make_folder(folder, "; a training cannot be resumed")
+    torch_threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        model = ALGORITHMS[config.algorithm](
-            env=env, seed=config.seed, device="cpu", verbose=0,
-            tensorboard_log=str(folder / TENSORBOARD) if tensorboard else None, **learning.model,
-        )  # fmt: skip
-        # Neighbouring seeds would else share the conditions of all rows but one.
-        seeds = np.random.SeedSequence(config.seed).generate_state(robots.num_envs)
-        robots.seed_rows(seeds.tolist())
-        # The budget ends it: where robots fail, steps are shorter than they could be.
-        while True:
-            steps = max(int((config.budget_s - keeper.spent_s) / robots.step_s), 1)
-            model.learn(steps, callback=callbacks, reset_num_timesteps=not model.num_timesteps)
-    except _BudgetSpent:
-        keeper.evaluate()
+        with Journal.create(folder, make_configuration(config)) as journal:
+            journal.begin(_PACKAGES)
+            history = History(journal)
+            recorder = _Recorder(config, robots, history, reserve_s, on_evaluation, on_progress)
+            callbacks = [*map(_make_callback, hyperparameters(config).callback), recorder]
+            if recorder.designs is not None:
+                callbacks.insert(0, recorder.designs)
+            model = _make_model(config, robots, folder / TENSORBOARD if tensorboard else None)
+            try:
+                while True:  # robots that fail use fewer seconds than their steps would
+                    steps = max(int((config.budget_s - recorder.spent_s) / robots.vector_env.step_s), 1)
+                    model.learn(steps, callback=callbacks, reset_num_timesteps=not model.num_timesteps)
+            except _BudgetSpent:
+                recorder.evaluate()
+                history.finish()
     except KeyboardInterrupt:
-        finished = False
-    except ImportError as error:
-        shutil.rmtree(folder)  # nothing but its description
-        raise TrainingError(f"{error}: pip install 'caterpillar-sma[tensorboard]'") from None
+        pass
     finally:
-        torch.set_num_threads(before)
-        env.close()
-    wall_s = time.perf_counter() - began
-    record._replace(finished=finished, wall_s=wall_s, simulated_s=keeper.spent_s).save(folder)
-    return TrainResult(keeper.points, keeper.best, finished)
+        torch.set_num_threads(torch_threads)
+        robots.close()
+    return Training(config, history)
 
 
 def _check_budget(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
-    """What a step of all robots, one evaluation now and one at the end may take, s.
+    """Return the seconds that one step of all robots and two evaluations can take.
 
     Raises:
-        TrainingError: the budget is less, or does not let bodies evolve.
+        TrainingError: the budget is smaller, or too small for co-design.
     """
-    reserve_s = robots.num_envs * robots.step_s + 2 * EPISODE_S
-    if reserve_s > config.budget_s:
+    count, budget_s = robots.num_envs, config.budget_s
+    reserve_s = count * robots.vector_env.step_s + 2 * EPISODE_S
+    if reserve_s > budget_s:
         raise TrainingError(
-            f"budget_s = {config.budget_s:g} is too little: a step of all {robots.num_envs} robots and "
-            f"two evaluations take {reserve_s:g} simulated seconds"
+            f"budget_s = {budget_s:g} is too small: one step of {count} robots and two evaluations take "
+            f"{reserve_s:g} simulated seconds"
         )
-    least_s = _LEAST_ROLLOUTS * robots.num_envs * EPISODE_S
-    if config.design != "fixed" and config.budget_s < least_s:
+    rollouts_s = _MIN_ROLLOUTS * count * EPISODE_S
+    if config.design != "fixed" and budget_s < rollouts_s:
         raise TrainingError(
-            f"budget_s = {config.budget_s:g} is too little for bodies to evolve: {_LEAST_ROLLOUTS} "
-            f"episodes of {robots.num_envs} robots take {least_s:g} simulated seconds"
+            f"budget_s = {budget_s:g} is too small for co-design: {_MIN_ROLLOUTS} episodes of {count} "
+            f"robots take {rollouts_s:g} simulated seconds"
         )
     return reserve_s
 
 
-def _versions() -> dict[str, str]:
-    packages = ("stable-baselines3", "sb3-contrib", "torch", "gymnasium")
-    return fingerprint() | {name: version(name) for name in packages}
+def _make_model(config: TrainConfig, robots: CaterpillarVecEnv, log: Path | None) -> BaseAlgorithm:
+    """Make the algorithm with its environment, and seed both."""
+    learning = hyperparameters(config)
+    env: Any = VecMonitor(robots)
+    if learning.normalize is not None:
+        env = VecNormalize(env, **learning.normalize)
+    arguments = {
+        name: LinearSchedule(float(value.removeprefix("lin_")), 0.0, 1.0)
+        if isinstance(value, str) and value.startswith("lin_")
+        else value
+        for name, value in learning.model.items()
+    }
+    model = ALGORITHMS[config.algorithm](
+        env=env, seed=config.seed, device="cpu", verbose=0,
+        tensorboard_log=None if log is None else str(log), **arguments,
+    )  # fmt: skip
+    # By default row i gets seed + i, so that trainings with neighbouring seeds would share rows.
+    seeds = np.random.SeedSequence(config.seed).generate_state(robots.num_envs)
+    robots.seed_rows(seeds.tolist())
+    return model
 
 
-class _Keeper(BaseCallback):
-    """Evaluates now and then, keeps the policy, and stops when the budget is spent."""
+def _make_callback(entry: str | dict[str, dict[str, Any]]) -> BaseCallback:
+    """Make a callback from the path of its class, or from a mapping from the path to arguments."""
+    path, arguments = (entry, {}) if isinstance(entry, str) else next(iter(entry.items()))
+    module, name = path.rsplit(".", 1)
+    callback: BaseCallback = getattr(importlib.import_module(module), name)(**arguments)
+    return callback
+
+
+class _Recorder(BaseCallback):
+    """Evaluates and records the policy at intervals, and ends the training when the budget is spent."""
 
     def __init__(
         self,
         config: TrainConfig,
-        folder: Path,
         robots: CaterpillarVecEnv,
-        normalizer: VecNormalize | None,
+        history: History,
         reserve_s: float,
-        on_point: Callable[[Point], None] | None,
+        on_evaluation: Callable[[History], None] | None,
         on_progress: Callable[[float], None] | None,
     ) -> None:
         super().__init__()
-        self._config, self._folder, self._robots = config, folder, robots
-        self._normalizer, self._told, self._progress = normalizer, on_point, on_progress
-        self._judge = judge(config)
-        self._next_s = 0.0
+        self._config, self._robots, self._history = config, robots, history
+        self._reserve_s, self._on_evaluation, self._on_progress = reserve_s, on_evaluation, on_progress
+        self._env = make_env(config)
+        self._next_s = 0.0  # when the next evaluation is due
         self.designs: CoDesign | None = None
-        self.points: list[Point] = []
-        self.best: Point | None = None
-        self._kept: tuple[bool, float] = (False, -np.inf)
-        self._reserve_s = reserve_s
+        if config.design != "fixed":
+            self.designs = CoDesign(config, robots, lambda: self.spent_s / config.budget_s)
 
     @property
     def spent_s(self) -> float:
-        """Simulated seconds so far."""
-        return self._robots.simulated_s + self._judge.crawl.simulation.simulated_s
+        """Simulated seconds so far, of training and evaluations."""
+        return self._robots.vector_env.simulated_s + self._env.crawl.simulation.simulated_s
 
     def _on_step(self) -> bool:
-        if self._progress is not None:
-            self._progress(self.spent_s)
+        if self._on_progress is not None:
+            self._on_progress(self.spent_s)
         if self.spent_s + self._reserve_s > self._config.budget_s:
             raise _BudgetSpent
         if self.spent_s >= self._next_s:
@@ -182,37 +185,22 @@ class _Keeper(BaseCallback):
         return True
 
     def evaluate(self) -> None:
-        """Let the policy of this moment crawl, and keep it."""
-        body = self._config.morphology if self.designs is None else self.designs.favourite
-        end = Policy(self.model, self._normalizer).crawl(self._judge, self._config.seed, body)
-        point = Point(
-            self.spent_s, float(end.distance_m[0]), float(end.energy_j[0]), float(end.simulated_s[0]),
-            label(end.failure[0]), body,
-        )  # fmt: skip
-        self.points.append(point)
-        # A policy whose robot falls is never better than one whose robot does not.
-        score, kept = (point.failure == "ok", point.distance_m), ["last"]
-        if score > self._kept:
-            self._kept, self.best = score, point if score[0] else None
-            kept.append("best")
-        self._keep(point, kept)
-        for name in ("distance_m", "energy_j", "time_s"):
-            self.logger.record(f"evaluation/{name}", getattr(point, name))
-        self.logger.record("time/simulated_s", point.simulated_s)
-        if self._told is not None:
-            self._told(point)
-
-    def _keep(self, point: Point, names: list[str]) -> None:
-        """Write the policy under these names, and the table's row: all but at once."""
-        whole: dict[Path, Path] = {}
-        for name in names:
-            partial = self._folder / f".{name}.partial.zip"
-            self.model.save(partial, exclude=["tensorboard_log"])
-            whole[partial] = self._folder / f"{name}.zip"
-            if self._normalizer is not None:
-                statistics = self._folder / f".{name}.partial.pkl"
-                self._normalizer.save(str(statistics))
-                whole[statistics] = self._folder / f"{name}_vecnormalize.pkl"
-        append(self._folder, point)
-        for partial, path in whole.items():
-            os.replace(partial, path)
+        """Run one episode of the deterministic policy; record it, and save the policy."""
+        body, genome = self._config.morphology, self._config.morphology.to_unit()
+        if self.designs is not None:
+            body, genome = self.designs.mean_body, self.designs.mean_genome
+        policy = Policy(self.model, self.model.get_vec_normalize_env())
+        outcome = policy.crawl(self._env, self._config.seed, body)
+        history = self._history
+        since_s = np.array([self.spent_s - history.simulated_s])
+        history.append(genome[None], outcome._replace(simulated_s=since_s))
+        history.complete()
+        latest = history.evaluations[-1]
+        policy.save(history.folder / "last.zip")
+        if history.best is latest:
+            policy.save(history.folder / "best.zip")
+        for name in ("distance_m", "energy_j"):
+            self.logger.record(f"evaluation/{name}", getattr(latest, name))
+        self.logger.record("time/simulated_s", self.spent_s)
+        if self._on_evaluation is not None:
+            self._on_evaluation(history)

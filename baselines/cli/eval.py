@@ -5,16 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import tyro
 
-from baselines.policy import AtRandom, Policy, TrainedRobot, judge
+from baselines.policy import Policy, RandomActor, TrainedRobot, make_env
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.physics import Physics
-from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import label
 from evolution import cli
 from evolution.cli.running import film
@@ -22,62 +21,74 @@ from evolution.cli.running import film
 
 @dataclass(frozen=True)
 class EvalArgs:
-    """Let a trained policy crawl: as it was judged, drawing its actions, or on other ground."""
+    """Evaluate a trained policy: as in training, with sampled actions, or under other conditions."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """A training's folder."""
+    """Folder of the training."""
     which: Literal["best", "last", "random"] = "best"
-    """Which of the policies that were kept; random: no policy, actions drawn evenly."""
+    """The policy: the best, the last, or random actions in the body of the best."""
     stochastic: bool = False
-    """Draw actions as in training, instead of taking the likeliest."""
+    """Sample actions as in training, instead of taking the most likely ones."""
     episodes: int = 1
-    """How many episodes; for more than one draw actions, or all would be alike."""
+    """Number of episodes; more than one requires sampled actions."""
     frictions: tuple[float, ...] = ()
-    """Crawl at each of these friction coefficients, instead of the training's."""
+    """Friction coefficients to evaluate with, instead of that of the training."""
     mismatch_seeds: tuple[int, ...] = ()
-    """Crawl as each of these robots, instead of the training's: draws of springs' strengths."""
+    """Seeds of the spring strengths to evaluate with, instead of that of the training."""
     timestep_s: float | None = None
-    """Another timestep than the training's, in s."""
+    """Timestep of the physics in s, instead of that of the training."""
     json: bool = False
     """Print JSON instead of sentences."""
     video: bool = False
-    """Write eval.mp4 into the folder, of the first episode."""
+    """Write eval.mp4 into the folder, a video of the first episode."""
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
             raise CaterpillarError(f"episodes = {self.episodes} must be at least 1")
-        if self.video and self.drawn:
+        if self.video and self.samples_actions:
+            raise CaterpillarError("--video cannot be combined with --stochastic or --which random")
+        if self.episodes > 1 and not self.samples_actions:
             raise CaterpillarError(
-                "--video shows the likeliest actions: leave it out, or leave out --stochastic and "
-                "--which random"
-            )
-        if self.episodes > 1 and not self.drawn:
-            raise CaterpillarError(
-                f"{self.episodes} episodes of the likeliest actions are all alike: add --stochastic to "
-                "draw actions, or leave out --episodes"
+                f"episodes = {self.episodes} would all be equal, because the most likely actions are "
+                "deterministic; add --stochastic, or leave out --episodes"
             )
 
     @property
-    def drawn(self) -> bool:
-        """Whether actions are drawn."""
+    def samples_actions(self) -> bool:
+        """Whether actions are random."""
         return self.stochastic or self.which == "random"
 
 
 def eval_command(argv: Sequence[str]) -> int:
-    """`caterpillar rl eval`."""
+    """Evaluate a trained policy, also under other conditions."""
     args = cli.parse(EvalArgs, argv, "rl eval")
-    drawn = args.drawn
     robot = TrainedRobot.load(args.folder, "last" if args.which == "last" else "best")
+    physics, seed = robot.physics, robot.config.seed
     if args.which == "random":
-        space = judge(robot.config).action_space
-        robot = replace(robot, policy=Policy(AtRandom(space, robot.config.seed), None))
+        actor = RandomActor(make_env(robot.config).action_space, seed)
+        robot = replace(robot, policy=Policy(actor, None))
+    robots = [
+        replace(robot, physics=replace(physics, friction=friction, mismatch_seed=mismatch_seed))
+        for friction, mismatch_seed in product(
+            args.frictions or (physics.friction,), args.mismatch_seeds or (physics.mismatch_seed,)
+        )
+    ]
     rows = []
-    for physics in _settings(robot.physics, args):
-        for episode in range(args.episodes):
-            outcome = replace(robot, physics=physics).simulate(
-                args.timestep_s, seed=robot.config.seed + episode, deterministic=not drawn
-            )
-            rows.append(_row(physics, episode, outcome))
+    for variant, episode in product(robots, range(args.episodes)):
+        outcome = variant.simulate(
+            args.timestep_s, seed=seed + episode, deterministic=not args.samples_actions
+        )
+        rows.append(
+            {
+                "friction": variant.physics.friction,
+                "mismatch_seed": variant.physics.mismatch_seed,
+                "episode": episode,
+                "distance_m": float(outcome.distance_m[0]),
+                "energy_j": float(outcome.energy_j[0]),
+                "time_s": float(outcome.simulated_s[0]),
+                "failure": label(outcome.failure[0]),
+            }
+        )
     if args.json:
         print(json.dumps(rows, indent=2))
     else:
@@ -89,30 +100,8 @@ def eval_command(argv: Sequence[str]) -> int:
             )
         if len(rows) > 1:
             fitness = [row["distance_m"] if row["failure"] == "ok" else 0.0 for row in rows]
-            low, middle, high = 1000 * np.quantile(fitness, [0.25, 0.5, 0.75])
-            print(f"median {middle:.1f} mm, quartiles {low:.1f} to {high:.1f}, failures counted as 0")
+            low, median, high = 1000 * np.quantile(fitness, [0.25, 0.5, 0.75])
+            print(f"median {median:.1f} mm, quartiles {low:.1f} to {high:.1f} (failures count as 0)")
     if args.video:
-        first = replace(robot, physics=_settings(robot.physics, args)[0])
-        film(first, args.folder / "eval.mp4", cli.console(), args.timestep_s)
+        film(robots[0], args.folder / "eval.mp4", cli.console(), args.timestep_s)
     return 0
-
-
-def _settings(physics: Physics, args: EvalArgs) -> list[Physics]:
-    """Every friction on every robot asked for."""
-    return [
-        replace(physics, friction=friction, mismatch_seed=seed)
-        for friction in args.frictions or (physics.friction,)
-        for seed in args.mismatch_seeds or (physics.mismatch_seed,)
-    ]
-
-
-def _row(physics: Physics, episode: int, outcome: Outcomes) -> dict[str, Any]:
-    return {
-        "friction": physics.friction,
-        "mismatch_seed": physics.mismatch_seed,
-        "episode": episode,
-        "distance_m": float(outcome.distance_m[0]),
-        "energy_j": float(outcome.energy_j[0]),
-        "time_s": float(outcome.simulated_s[0]),
-        "failure": label(outcome.failure[0]),
-    }
