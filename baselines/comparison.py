@@ -14,7 +14,7 @@ from baselines.config import TrainingError
 from baselines.history import Training
 from caterpillar_env.files import writing
 from caterpillar_env.task import Failure
-from evolution.run.journal import Evaluation
+from evolution.run.records import Evaluation
 
 
 class Summary(NamedTuple):

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from baselines.config import TrainConfig, TrainingError, hyperparameters
 from caterpillar_env.morphology import Morphology
 from evolution.run.history import History
-from evolution.run.journal import Evaluation
+from evolution.run.records import Evaluation
 
 KIND = "training"
 
@@ -41,7 +41,7 @@ class Training(NamedTuple):
                 "read; repeat the training in another folder"
             )
         history = History.read(folder)
-        data = history.configuration
+        data = dict(history.configuration)
         if data.pop("kind", None) != KIND:
             raise TrainingError(
                 f"{folder} contains an evolutionary run; give a folder that caterpillar rl train made"

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from baselines.codesign import CoDesign
@@ -124,15 +123,9 @@ def _make_model(config: TrainConfig, robots: CaterpillarVecEnv, log: Path | None
     env: Any = VecMonitor(robots)
     if learning.normalize is not None:
         env = VecNormalize(env, **learning.normalize)
-    arguments = {
-        name: LinearSchedule(float(value.removeprefix("lin_")), 0.0, 1.0)
-        if isinstance(value, str) and value.startswith("lin_")
-        else value
-        for name, value in learning.model.items()
-    }
     model = ALGORITHMS[config.algorithm](
         env=env, seed=config.seed, device="cpu", verbose=0,
-        tensorboard_log=None if log is None else str(log), **arguments,
+        tensorboard_log=None if log is None else str(log), **learning.model,
     )  # fmt: skip
     # By default row i gets seed + i, so that trainings with neighbouring seeds would share rows.
     seeds = np.random.SeedSequence(config.seed).generate_state(robots.num_envs)

@@ -8,7 +8,7 @@ the step that ends an episode, the last observation under `terminal_observation`
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-import caterpillar_env  # noqa: F401  registers the environments
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.vector_env import CaterpillarVectorEnv
 
 #: Keys of the environment's info that are returned when an episode ends.
 EPISODE_INFO = ("distance", "energy_j", "time_s", "failure")
@@ -35,9 +35,10 @@ class CaterpillarVecEnv(VecEnv):
     """
 
     def __init__(self, env_id: str, num_envs: int, *, threads: int = 0, **kwargs: Any) -> None:
-        self.vector_env: Any = gymnasium.make_vec(
+        env = gymnasium.make_vec(
             env_id, num_envs=num_envs, threads=threads, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs
-        ).unwrapped
+        )
+        self.vector_env = cast(CaterpillarVectorEnv, env.unwrapped)
         self._actions: NDArray[Any] | None = None
         super().__init__(
             num_envs, self.vector_env.single_observation_space, self.vector_env.single_action_space

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -26,7 +26,7 @@ class EvalArgs:
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of the training."""
     which: Literal["best", "last", "random"] = "best"
-    """The policy: the best, the last, or random actions in the body of the best."""
+    """The policy: the best, the last, or none, which takes random actions."""
     stochastic: bool = False
     """Sample actions as in training, instead of taking the most likely ones."""
     episodes: int = 1
@@ -62,7 +62,7 @@ class EvalArgs:
 def eval_command(argv: Sequence[str]) -> int:
     """Evaluate a trained policy, also under other conditions."""
     args = cli.parse(EvalArgs, argv, "rl eval")
-    robot = TrainedRobot.load(args.folder, "last" if args.which == "last" else "best")
+    robot = TrainedRobot.load(args.folder, "best" if args.which == "best" else "last")
     physics, seed = robot.physics, robot.config.seed
     if args.which == "random":
         actor = RandomActor(make_env(robot.config).action_space, seed)
@@ -73,7 +73,7 @@ def eval_command(argv: Sequence[str]) -> int:
             args.frictions or (physics.friction,), args.mismatch_seeds or (physics.mismatch_seed,)
         )
     ]
-    rows = []
+    rows: list[dict[str, Any]] = []
     for variant, episode in product(robots, range(args.episodes)):
         outcome = variant.simulate(
             args.timestep_s, seed=seed + episode, deterministic=not args.samples_actions

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import polars
 import pytest
+from baselines.records import RECORD, evaluations
 
 from baselines.arms import TrainArm
-from baselines.records import RECORD, evaluations
 from evolution.study import winners
 from evolution.study.arms import ArmError
 from evolution.study.config import Cell, StudyConfig, StudyError, load, preset

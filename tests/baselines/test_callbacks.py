@@ -1,4 +1,4 @@
-"""Policies before they learn."""
+"""The initial duty of untrained policies."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from baselines.vec_env import CaterpillarVecEnv
 SMALL = {"physics": {"num_segments": 2, "timestep_s": 0.01}}
 
 
-def started(kind, env_id, policy, **settings):
+def start(kind, env_id, policy, **settings):
     env = CaterpillarVecEnv(env_id, 1, threads=1, **SMALL)
     model = kind(policy, env, seed=0, device="cpu", **settings)
     callback = InitialDuty(0.2)
@@ -21,11 +21,11 @@ def started(kind, env_id, policy, **settings):
 
 
 @pytest.mark.parametrize("kind", [PPO, A2C])
-def test_switches_are_on_for_that_share_of_the_time(kind):
-    model, env = started(kind, "CaterpillarSMASwitch-v0", "MlpPolicy")
+def test_switches_are_on_for_the_duty(kind):
+    model, env = start(kind, "CaterpillarSMASwitch-v0", "MlpPolicy")
     seen = np.repeat(env.reset(), 4000, axis=0)
-    drawn, _ = model.predict(seen, deterministic=False)
-    assert drawn.mean() == pytest.approx(0.2, abs=0.02)
+    switches, _ = model.predict(seen, deterministic=False)
+    assert switches.mean() == pytest.approx(0.2, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -38,20 +38,20 @@ def test_switches_are_on_for_that_share_of_the_time(kind):
     ],
     ids=lambda v: getattr(v, "__name__", ""),
 )
-def test_timings_power_a_pair_for_that_share_of_the_period(kind, policy, settings):
-    model, env = started(kind, "CaterpillarSMA-v0", policy, **settings)
+def test_timings_power_a_pair_for_the_duty(kind, policy, settings):
+    model, env = start(kind, "CaterpillarSMA-v0", policy, **settings)
     action, _ = model.predict(env.reset(), deterministic=True)
     on, off = action.reshape(-1, 2).T
     np.testing.assert_allclose((off - on) / 2, 0.2, atol=0.15 if kind in (SAC, TQC) else 0.02)
 
 
-def test_ars_searches_about_it():
-    model, _ = started(ARS, "CaterpillarSMA-v0", "LinearPolicy", policy_kwargs={"with_bias": True})
+def test_ars_searches_around_it():
+    model, _ = start(ARS, "CaterpillarSMA-v0", "LinearPolicy", policy_kwargs={"with_bias": True})
     assert set(np.round(model.weights.numpy()[-4:], 6)) == {np.float32(-0.2), np.float32(0.2)}
 
 
-def test_a_policy_that_has_learned_is_left_alone():
-    model, _ = started(A2C, "CaterpillarSMASwitch-v0", "MlpPolicy")
+def test_trained_policy_is_not_changed():
+    model, _ = start(A2C, "CaterpillarSMASwitch-v0", "MlpPolicy")
     model.num_timesteps = 1
     callback = InitialDuty(0.5)
     callback.init_callback(model)
@@ -60,6 +60,6 @@ def test_a_policy_that_has_learned_is_left_alone():
 
 
 @pytest.mark.parametrize("duty", [0.0, 1.0, -1])
-def test_duty_is_a_share(duty):
-    with pytest.raises(ValueError, match="must lie between 0 and 1"):
+def test_duty_outside_0_to_1_is_rejected(duty):
+    with pytest.raises(ValueError, match="must be between 0 and 1"):
         InitialDuty(duty)

@@ -1,38 +1,40 @@
-"""`caterpillar rl`, as somebody at a terminal has it."""
+"""`caterpillar rl` on the command line."""
 
 import json
 import sys
 
 import pytest
 
+from baselines.history import Training
 from baselines.policy import TrainedRobot
-from baselines.records import Record, evaluations
 from evolution import cli
 
 SMALL = ["--num-segments", "2", "--timestep-s", "0.01", "--mode", "timing", "--evaluations", "2"]
+#: A training whose best policy crawls forwards, though only by 2 mm.
+FORWARDS = ["--timestep-s", "0.01", "--mode", "timing", "--seed", "1", "--budget-s", "200"]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("cli") / "run"
-    flags = [*SMALL, "--budget-s", "200", "--no-video", "--out", str(path)]
+    flags = [*FORWARDS, "--evaluations", "2", "--no-video", "--out", str(path)]
     assert cli.main(["rl", "train", *flags]) == 0
     return path
 
 
 @pytest.mark.slow
-def test_training_tells_how_it_goes(tmp_path, capsys):
-    flags = [*SMALL, "--budget-s", "150", "--track", "tensorboard", "--out", str(tmp_path / "run")]
+def test_train_reports_progress_and_writes_a_video(tmp_path, capsys):
+    flags = [*FORWARDS, "--track", "tensorboard", "--out", str(tmp_path / "run")]
     assert cli.main(["rl", "train", *flags]) == 0
-    said = capsys.readouterr()
-    assert said.out.startswith(("best: ", "no policy"))
-    assert "left" in said.err
-    assert "deterministic policy" in said.err
+    captured = capsys.readouterr()
+    assert captured.out.startswith("best: ")
+    assert "left" in captured.err
+    assert "deterministic policy" in captured.err
     assert (tmp_path / "run" / "best.mp4").stat().st_size > 10_000
     assert (tmp_path / "run" / "tensorboard").is_dir()
 
 
-def test_body_of_an_evolved_robot_is_taken(tmp_path, capsys):
+def test_train_uses_the_body_of_an_evolved_robot(tmp_path):
     run = tmp_path / "ga"
     small = ["--num-segments", "2", "--timestep-s", "0.01"]
     flags = ["--population", "3", "--hall-of-fame", "1", "--generations", "1", "--no-video"]
@@ -40,11 +42,12 @@ def test_body_of_an_evolved_robot_is_taken(tmp_path, capsys):
     body = json.loads((run / "best.json").read_text())["morphology"]
     flags = [*SMALL, "--budget-s", "150", "--no-video", "--out", str(tmp_path / "rl")]
     assert cli.main(["rl", "train", *flags, "--body", str(run)]) == 0
-    assert Record.load(tmp_path / "rl").config.morphology.to_dict() == body
-    assert evaluations(tmp_path / "rl")[0].morphology.to_dict() == body
+    training = Training.read(tmp_path / "rl")
+    assert training.config.morphology.to_dict() == body
+    assert training.body(training.history.evaluations[0]).to_dict() == body
 
 
-def test_best_policy_crawls_again(folder, capsys):
+def test_eval_repeats_the_recorded_evaluation(folder, capsys):
     assert cli.main(["rl", "eval", str(folder)]) == 0
     robot = TrainedRobot.load(folder)
     assert f"{1000 * robot.fitness_m:.1f} mm" in capsys.readouterr().out
@@ -53,7 +56,7 @@ def test_best_policy_crawls_again(folder, capsys):
     assert finer["distance_m"] == robot.simulate(0.005).distance_m[0] != robot.fitness_m
 
 
-def test_other_ground_and_other_robots_are_tried(folder, capsys):
+def test_eval_combines_frictions_and_mismatch_seeds(folder, capsys):
     flags = ["--frictions", "0.4", "1.0", "--mismatch-seeds", "5", "6", "7", "--json"]
     assert cli.main(["rl", "eval", str(folder), *flags]) == 0
     rows = json.loads(capsys.readouterr().out)
@@ -63,7 +66,7 @@ def test_other_ground_and_other_robots_are_tried(folder, capsys):
     assert len({r["distance_m"] for r in rows}) == 6
 
 
-def test_random_and_drawn_actions_differ_from_episode_to_episode(folder, capsys):
+def test_episodes_with_sampled_actions_differ(folder, capsys):
     for flags in (["--which", "random"], ["--which", "last", "--stochastic"]):
         assert cli.main(["rl", "eval", str(folder), *flags, "--episodes", "3"]) == 0
         *rows, summary = capsys.readouterr().out.splitlines()
@@ -71,7 +74,16 @@ def test_random_and_drawn_actions_differ_from_episode_to_episode(folder, capsys)
         assert summary.startswith("median ")
 
 
-def test_trainings_are_compared(folder, tmp_path, capsys):
+def test_train_without_a_best_policy_writes_no_video(tmp_path, capsys):
+    flags = [*SMALL, "--budget-s", "150", "--out", str(tmp_path / "run")]
+    assert cli.main(["rl", "train", *flags]) == 0
+    assert capsys.readouterr().out.startswith("no policy crawled forwards")
+    assert not (tmp_path / "run" / "best.mp4").exists()
+    assert cli.main(["rl", "eval", str(tmp_path / "run")]) == 1
+    assert "--which last" in capsys.readouterr().err
+
+
+def test_compare_prints_a_table_and_plots_curves(folder, tmp_path, capsys):
     flags = ["--out", str(tmp_path / "x.png")]
     assert cli.main(["rl", "compare", str(folder), *flags]) == 0
     assert "ppo timing" in capsys.readouterr().out
@@ -84,38 +96,34 @@ def test_trainings_are_compared(folder, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "a command is missing; choose from train, eval, compare"),
-        (["teach"], "no command 'teach'; choose from train, eval, compare"),
-        (["eval", "nowhere"], "cannot read nowhere/training.json"),
-        (["compare"], "give the folders of trainings"),
-        (["compare", "nowhere"], "cannot read nowhere/training.json"),
+        ([], "choose from train, eval, compare"),
+        (["teach"], "'teach'; choose from train, eval, compare"),
+        (["eval", "nowhere"], "nowhere is not a run folder"),
+        (["compare"], "give at least one folder"),
+        (["compare", "nowhere"], "nowhere is not a run folder"),
         (["train", "--body", "nowhere"], "cannot read nowhere"),
+        (["train", "--randomize", "luck", "0", "1"], "its fields are friction"),
     ],
     ids=str,
 )
-def test_wrong_input_is_answered_in_one_line(arguments, message, capsys):
+def test_errors_take_one_line(arguments, message, capsys):
     assert cli.main(["rl", *arguments]) in (1, 2)
     err = capsys.readouterr().err
     assert message in err
     assert err.count("\n") == 1
 
 
-def test_unusable_flags_are_wrong_usage(capsys):
-    assert cli.main(["rl", "train", "--randomize", "luck", "0", "1"]) == 2
-    assert "randomization has no luck; its fields are friction" in capsys.readouterr().err
-
-
-def test_likeliest_actions_are_not_repeated(folder, capsys):
+def test_eval_rejects_equal_episodes(folder, capsys):
     assert cli.main(["rl", "eval", str(folder), "--episodes", "2"]) == 2
     assert "add --stochastic" in capsys.readouterr().err
 
 
-def test_help_names_the_commands(capsys):
+def test_help_lists_the_commands(capsys):
     assert cli.main(["rl", "--help"]) == 0
-    assert "compare  put trainings side by side" in capsys.readouterr().out
+    assert "compare  Compare trainings" in capsys.readouterr().out
 
 
-def test_without_the_extra_it_says_what_to_install(monkeypatch, capsys):
+def test_missing_extra_is_reported(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "sb3_contrib", None)
     assert cli.main(["rl", "train"]) == 1
     assert "pip install 'caterpillar-sma[rl]'" in capsys.readouterr().err

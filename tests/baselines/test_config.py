@@ -1,13 +1,12 @@
-"""Settings of trainings, and hyper-parameters in rl_zoo3's schema."""
+"""Configurations of trainings, and hyperparameters in the schema of rl_zoo3."""
 
 import json
 
 import pytest
 import yaml
-from stable_baselines3.common.utils import LinearSchedule
 
-from baselines import config as settings
-from baselines.config import ENVIRONMENTS, HYPERPARAMETERS, TrainConfig, TrainingError, hyperparameters
+from baselines import config as config_module
+from baselines.config import ENVIRONMENTS, HYPERPARAMETERS, TrainConfig, hyperparameters
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import Morphology
 
@@ -18,29 +17,29 @@ from caterpillar_env.morphology import Morphology
         ({"algorithm": "dqn"}, "algorithm = 'dqn' must be one of ppo"),
         ({"mode": "hope"}, "mode = 'hope' must be one of timing, switch"),
         ({"design": "x"}, "design = 'x' must be one of fixed, uniform, preprocessed"),
-        ({"algorithm": "sac"}, "sac cannot learn in mode 'switch'; it can in timing"),
-        ({"budget_s": 0}, "budget_s = 0 must be at least 30, the simulated seconds of one episode"),
+        ({"algorithm": "sac"}, "sac does not support mode 'switch'; it supports timing"),
+        ({"budget_s": 0}, "budget_s = 0 must be at least 30, the length of one episode"),
         ({"evaluations": 0}, "evaluations = 0"),
         ({"seed": -1}, "seed = -1"),
         ({"seed": 2**32}, "seed = 4294967296"),
-        ({"open_loop": True}, "needs mode timing"),
+        ({"open_loop": True}, "requires mode timing"),
         (
             {"design": "uniform", "morphology": Morphology(leg_separation_m=0.02)},
-            "evolves the body: leave out the given one",
+            "evolves the body: do not give a body",
         ),
         ({"randomize": {"ambient_c": (20, 90)}}, "must end below 56 degC"),
-        ({"design": "uniform", "algorithm": "a2c"}, "around ppo's closed-loop policy only"),
+        ({"design": "uniform", "algorithm": "a2c"}, "requires algorithm ppo without open_loop"),
         ({"randomize": {"luck": (0, 1)}}, "randomization has no luck; its fields are friction"),
         ({"randomize": {"mass": (2, 1)}}, "randomization of mass must be two numbers, the lesser"),
     ],
     ids=str,
 )
-def test_unusable_settings_are_refused(fields, message):
+def test_invalid_settings_are_rejected(fields, message):
     with pytest.raises(CaterpillarError, match=message):
         TrainConfig(**fields)
 
 
-def test_a_configuration_survives_json():
+def test_configuration_round_trips_through_json():
     config = TrainConfig(
         "ppo", "timing", seed=3, randomize={"friction": (0.5, 1.0)},
         morphology=Morphology(leg_separation_m=0.02),
@@ -58,7 +57,7 @@ def test_a_configuration_survives_json():
     ],
     ids=str,
 )
-def test_what_cannot_be_read_is_told(data, message):
+def test_invalid_data_is_rejected(data, message):
     with pytest.raises(CaterpillarError, match=message):
         TrainConfig.from_dict(data)
 
@@ -70,32 +69,40 @@ def test_files_follow_rl_zoos_schema(path):
         assert {"policy", "n_timesteps", "n_envs", "normalize"} <= set(found)
 
 
-def test_an_open_loop_is_a_step_an_episode_and_learns_from_as_many_episodes():
+def test_bandit_acts_once_per_episode_and_learns_from_as_many_episodes():
     closed = hyperparameters(TrainConfig(mode="timing"))
     bandit = hyperparameters(TrainConfig(mode="timing", open_loop=True))
     assert bandit.env_kwargs == {"frame_skip": 6}
     assert bandit.model["n_steps"] * 6 == closed.model["n_steps"]
     assert bandit.model["policy_kwargs"] == closed.model["policy_kwargs"]
-    # What follows a step that is the whole episode must not be guessed at.
+    # No step follows in the episode, so that there is nothing to discount.
     assert bandit.model["gamma"] == bandit.normalize["gamma"] == 0
     sac = hyperparameters(TrainConfig("sac", "timing", open_loop=True)).model["learning_starts"]
     assert sac == hyperparameters(TrainConfig("sac", "timing")).model["learning_starts"] // 6
 
 
-def test_schedules_and_normalisation_are_rl_zoos(tmp_path, monkeypatch):
-    monkeypatch.setattr(settings, "HYPERPARAMETERS", tmp_path)
+def test_normalize_may_hold_arguments(tmp_path, monkeypatch):
+    monkeypatch.setattr(config_module, "HYPERPARAMETERS", tmp_path)
     text = (
-        "CaterpillarSMA-v0: {n_timesteps: 1, policy: MlpPolicy, learning_rate: lin_0.001, gamma: 0.7, "
+        "CaterpillarSMA-v0: {n_timesteps: 1, policy: MlpPolicy, gamma: 0.7, "
         "normalize: {norm_reward: false}}"
     )
     (tmp_path / "ppo.yml").write_text(text)
     found = hyperparameters(TrainConfig(mode="timing"))
-    assert isinstance(found.model["learning_rate"], LinearSchedule)
-    assert found.model["learning_rate"](0.5) == pytest.approx(0.0005)
     assert found.normalize == {"gamma": 0.7, "norm_reward": False}
     assert found.n_envs == 1
+    assert found.model == {"policy": "MlpPolicy", "gamma": 0.7}
 
 
-def test_mode_that_an_algorithm_does_not_know_names_those_that_it_does():
-    with pytest.raises(TrainingError, match="a2c cannot learn in mode 'timing'; it can in switch"):
-        TrainConfig("a2c", "timing")
+@pytest.mark.parametrize(
+    ("fields", "title"),
+    [
+        ({"mode": "timing", "open_loop": True}, "ppo timing bandit"),
+        ({"mode": "timing", "design": "uniform"}, "ppo timing uniform co-design"),
+        ({"morphology": Morphology(leg_separation_m=0.02)}, "ppo switch given body"),
+        ({"randomize": {"mass": (0.9, 1.1)}}, "ppo switch randomized"),
+    ],
+    ids=str,
+)
+def test_title_names_what_is_special(fields, title):
+    assert TrainConfig(**fields).title == title

@@ -1,4 +1,4 @@
-"""What stable-baselines3 expects of a `VecEnv`, and that its rows are our single environment."""
+"""The contract of stable-baselines3's `VecEnv`; each row behaves like the single environment."""
 
 import gymnasium
 import numpy as np
@@ -24,7 +24,7 @@ def env():
     made.close()
 
 
-def test_rows_are_single_environments_seeded_one_after_the_other(env):
+def test_rows_equal_single_environments_with_consecutive_seeds(env):
     env.seed(5)
     ours = env.reset()
     actions = switches(env.action_space, 10)
@@ -47,7 +47,7 @@ def test_rows_are_single_environments_seeded_one_after_the_other(env):
     assert dones.all()
 
 
-def test_rows_that_end_start_anew_within_the_step(env):
+def test_row_resets_within_the_step_that_ends_its_episode(env):
     first = env.reset()
     for actions in switches(env.action_space, 10):
         observations, _, dones, infos = env.step(actions)
@@ -60,7 +60,7 @@ def test_rows_that_end_start_anew_within_the_step(env):
     assert not dones.any()
 
 
-def test_failure_is_no_truncation():
+def test_failure_is_not_a_truncation():
     rng = np.random.default_rng(0)
     bodies = [Morphology.from_unit(rng.random(8)) for _ in range(8)]
     env = CaterpillarVecEnv("CaterpillarSMA-v0", 8, morphology=bodies, physics={"timestep_s": 0.01})
@@ -77,14 +77,14 @@ def test_failure_is_no_truncation():
     assert {truncated for failure, truncated in seen if failure != "ok"} == {False}
 
 
-def test_seconds_of_all_rows_are_counted(env):
+def test_simulated_seconds_of_all_rows_are_counted(env):
     env.reset()
     for actions in switches(env.action_space, 7):
         env.step(actions)
-    assert env.simulated_s == pytest.approx(ROWS * 0.7)
+    assert env.vector_env.simulated_s == pytest.approx(ROWS * 0.7)
 
 
-def test_body_given_in_the_options_comes_with_the_next_reset(env):
+def test_reset_applies_the_body_in_the_options(env):
     env.reset()
     body = dict.fromkeys(("leg_separation_m",), 0.02)
     nominal = env.get_attr("morphologies")[0][0]
@@ -93,7 +93,7 @@ def test_body_given_in_the_options_comes_with_the_next_reset(env):
     assert {m.leg_separation_m for m in env.get_attr("morphologies")[0]} == {0.02}
 
 
-def test_attributes_are_of_all_rows(env):
+def test_attributes_are_shared_by_all_rows(env):
     assert env.get_attr("render_mode") == [None] * ROWS
     assert len(env.get_attr("observation_names", indices=[0, 2])) == 2
     assert env.env_is_wrapped(gymnasium.wrappers.TimeLimit) == [False] * ROWS
@@ -101,7 +101,7 @@ def test_attributes_are_of_all_rows(env):
         env.set_attr("render_mode", "rgb_array", indices=1)
 
 
-def test_monitor_and_normalisation_go_around_it(env):
+def test_monitor_and_normalization_wrap_it(env):
     wrapped = VecNormalize(VecMonitor(env), gamma=0.99)
     wrapped.reset()
     for actions in switches(env.action_space, 10):
@@ -111,14 +111,14 @@ def test_monitor_and_normalisation_go_around_it(env):
     assert np.isfinite(observations).all()
 
 
-def test_pictures_of_rows():
+def test_each_row_has_a_picture():
     env = CaterpillarVecEnv(ID, 2, physics=SMALL, render_mode="rgb_array", width=64, height=48)
     env.reset()
     assert [frame.shape for frame in env.get_images()] == [(48, 64, 3)] * 2
     env.close()
 
 
-def test_options_of_single_rows_are_refused_and_bodies_may_differ(env):
+def test_options_that_differ_between_rows_are_rejected(env):
     env.set_options([{}, {"morphology": None}, {}])
     with pytest.raises(ValueError, match="must be the same for all rows"):
         env.reset()
