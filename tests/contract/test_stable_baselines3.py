@@ -1,4 +1,4 @@
-"""stable-baselines3 trains on both environments without a word of complaint (warnings are errors)."""
+"""stable-baselines3 trains on both environments without warnings (which are errors here)."""
 
 import gymnasium
 import numpy as np
@@ -12,7 +12,7 @@ IDS = ("CaterpillarSMA-v0", "CaterpillarSMASwitch-v0")
 
 
 @pytest.mark.parametrize("name", IDS)
-def test_checker_has_nothing_to_say(name):
+def test_environment_passes_the_checker(name):
     env = gymnasium.make(name)
     check_env(env)
     env.close()
