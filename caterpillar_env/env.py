@@ -17,8 +17,8 @@ from caterpillar_env.errors import SimulationError
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
+from caterpillar_env.pose import Trace
 from caterpillar_env.randomization import Randomization
-from caterpillar_env.simulation import Trace
 from caterpillar_env.task import EPISODE_S, OnInterval
 
 _ROW = np.array([0])

@@ -17,8 +17,8 @@ from caterpillar_env.model import joint_names
 from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.observation import observation_names, observe
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
+from caterpillar_env.pose import BodyState
 from caterpillar_env.randomization import Randomization
-from caterpillar_env.simulation import BodyState
 from caterpillar_env.task import STEPS_PER_INTERVAL, Crawl, Failure, OnInterval, Progress, label
 
 ActionMode = Literal["timing", "switch"]

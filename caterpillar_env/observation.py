@@ -12,7 +12,7 @@ from caterpillar_env.gait import spring_names
 from caterpillar_env.model import joint_names
 from caterpillar_env.morphology import NAMES
 from caterpillar_env.physics import Physics
-from caterpillar_env.simulation import BodyState
+from caterpillar_env.pose import BodyState
 
 # Scales that bring observations to the order of one.
 _AXIAL_SCALE_M = 0.003

@@ -8,7 +8,6 @@ of them, with any number of threads.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -22,53 +21,16 @@ from caterpillar_env.errors import SimulationError
 from caterpillar_env.gait import count_steps
 from caterpillar_env.ground import STANCE_M, clearances_m, half_axes_m, loads_n, touching_geoms
 from caterpillar_env.machine import cores
-from caterpillar_env.model import ELEMENTS_PER_SEGMENT, ModelBuilder, build_model
+from caterpillar_env.model import ELEMENTS_PER_SEGMENT, ModelBuilder
 from caterpillar_env.morphology import Body
 from caterpillar_env.physics import SMA_STEP_S, Physics
+from caterpillar_env.pose import BodyState, Pose, Trace
 from caterpillar_env.randomization import Conditions, apply_conditions
 from caterpillar_env.sma import SmaState, SmaStep, advance
 
 _CACHED_BODIES = 256
 _POSITIONS_AND_VELOCITIES = mujoco.mjtStage.mjSTAGE_VEL.value
 FREE_QPOS, FREE_QVEL = 7, 6  # sizes of the head's free joint; the internal joints follow
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Positions of R robots, in the world frame and SI units: the inputs of the failure check.
-
-    While robots move, everything but the time refers to the start of the last physics step (2.5 ms ago
-    by default), as in Gymnasium's MuJoCo environments. Updating it would make every step 3 % slower.
-    """
-
-    time_s: Array  #: simulated since reset, (R,)
-    com_m: Array  #: centre of mass of the whole robot, (R, 3)
-    up: Array  #: mean over the elements of their own upward axis, (R, 3)
-    forward: Array  #: mean over the elements of their own forward axis, (R, 3)
-    clearance_m: Array  #: lowest point of feet and elements above the ground, (R,)
-    load_n: Array  #: vertical load on feet and body, mean over the last control interval, (R, 2)
-
-
-@dataclass(frozen=True)
-class BodyState(Pose):
-    """Positions and velocities of R robots with J internal joints.
-
-    `velocity` is as old as the pose; joints and springs are current.
-    """
-
-    velocity: Array  #: mean velocity (3) and mean angular velocity (3) of the elements, (R, 6)
-    joint_position: Array  #: axial, bend and neck joints from head to tail, m or rad, (R, J)
-    joint_velocity: Array  #: the same in m/s or rad/s, (R, J)
-    temperature_c: Array  #: of the springs, (R, num_springs)
-    fraction: Array  #: austenite fraction, (R, num_springs)
-
-
-class Trace(NamedTuple):
-    """Poses, temperatures and energy after every thermal step, for drawing."""
-
-    qpos: Array  #: MuJoCo generalised positions, (R, K, nq)
-    temperature_c: Array  #: of the springs, (R, K, num_springs)
-    energy_j: Array  #: electrical, since reset, (R, K)
 
 
 class Heating(NamedTuple):
@@ -342,14 +304,6 @@ class Simulation:
         """MuJoCo generalised positions of a row, as a new array, (nq,)."""
         position: Array = self._qpos[row].copy()
         return position
-
-    def drawable(self, row: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """A row to render: its model with scenery, and data in its pose with all derived fields."""
-        model = build_model(self.bodies[row], self.physics)
-        data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:] = self._qpos[row], self._qvel[row]
-        mujoco.mj_forward(model, data)
-        return model, data
 
     def rows(self, rows: Rows | None = None) -> Rows:
         """Indices of `rows`; of all robots for None."""

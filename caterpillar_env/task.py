@@ -19,8 +19,9 @@ from caterpillar_env.errors import SimulationError
 from caterpillar_env.gait import count_steps
 from caterpillar_env.morphology import Body
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
+from caterpillar_env.pose import Pose, Trace
 from caterpillar_env.randomization import Conditions
-from caterpillar_env.simulation import FREE_QPOS, Pose, Simulation, Trace
+from caterpillar_env.simulation import FREE_QPOS, Simulation
 
 #: Saunders 2009, section IV: distance travelled within 30 s of simulated time.
 EPISODE_S = 30.0

@@ -11,8 +11,8 @@ from caterpillar_env.arrays import Array
 from caterpillar_env.gait import GaitTimings, count_steps
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
+from caterpillar_env.pose import Trace
 from caterpillar_env.robot import Outcomes, Robot
-from caterpillar_env.simulation import Trace
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress
 
 #: A wave from the tail, ventral pairs half a period after dorsal ones; each is heated for 1 s.

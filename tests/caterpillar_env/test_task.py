@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from caterpillar_env import Morphology, Physics, SimulationError
-from caterpillar_env.simulation import Pose
+from caterpillar_env.pose import Pose
 from caterpillar_env.task import Crawl, Failure, Thresholds, judge
 
 BODY = Morphology()
