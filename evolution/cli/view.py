@@ -1,4 +1,4 @@
-"""`caterpillar view`."""
+"""`caterpillar view`: shows a robot in the browser."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from evolution.viewer.session import nominal_robot
 
 @dataclass(frozen=True)
 class ViewArgs:
-    """Watch a robot crawl in the browser, and change it by hand. Stop with Ctrl-C."""
+    """Watch a robot crawl in the browser, and change it by hand. Ctrl-C ends the server."""
 
     source: Annotated[Path | None, tyro.conf.Positional] = None
-    """A run folder, or the JSON file of one robot (best.json); by default a robot with nominal body."""
+    """Run folder, or JSON file of one robot (best.json); default: the nominal robot."""
     port: int = 8080
-    """Port of 127.0.0.1 that serves the page; 0 chooses a free one."""
+    """Port of 127.0.0.1 for the page; 0 means any free port."""
     open: bool = False
-    """Open the page in the default browser."""
+    """Open the page in the browser."""
 
 
 def view_command(argv: Sequence[str]) -> int:
@@ -41,9 +41,8 @@ def view_command(argv: Sequence[str]) -> int:
     from evolution.viewer.server import Viewer
 
     with Viewer(robot, args.port) as viewer:
-        shown = args.source or "the nominal robot"
-        print(f"{viewer.url} shows {shown}; stop with Ctrl-C", flush=True)
+        print(f"{viewer.url} shows {args.source or 'the nominal robot'}; Ctrl-C ends it", flush=True)
         if args.open and not webbrowser.open(viewer.url):
-            print("no browser found: open the page yourself", file=sys.stderr)
+            print(f"no browser was found; open {viewer.url} yourself", file=sys.stderr)
         threading.Event().wait()
     return 0

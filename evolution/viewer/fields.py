@@ -1,132 +1,86 @@
-"""What can be changed of a robot by hand: a slider for every number, within its bounds."""
+"""The numbers of a robot that the sliders change: its friction and its genes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.arrays import Array
 from caterpillar_env.gait import GaitTimings
-from caterpillar_env.morphology import PARAMETERS, Morphology, Parameter
+from caterpillar_env.morphology import PARAMETERS, Morphology
 from caterpillar_env.robot import Robot
+from evolution.genome import Encoding, Gene, GenomeKind, gene_values
 
-#: Plausible ones are 0.4 to 1.2 (docs/sources.md).
-_LOWEST_FRICTION, _HIGHEST_FRICTION = 0.05, 1.5
-_SHOWN = {"m": ("mm", 1000, 1), "kg": ("g", 1000, 1), "rad": ("rad", 1, 2)}  # unit, factor, decimals
+_FRICTION_BOUNDS = (0.05, 1.5)  # plausible values are 0.4 to 1.2 (docs/sources.md)
 
 
 @dataclass(frozen=True)
 class Field:
-    """One number of a robot, in the unit in which it is shown."""
+    """One number of a robot, in the unit of its slider."""
 
-    folder: str
-    label: str  #: with the unit
-    hint: str
-    lower: float
-    upper: float
-    decimals: int  #: to which it is shown
-    exact: Callable[[Robot], float]
-    put: Callable[[Robot, float], Robot]
+    index: int  #: among all fields of the robot
+    folder: str  #: heading above the slider; empty for none
+    gene: Gene  #: name, unit and bounds; friction, which is not evolved, has one too
 
     @property
-    def step(self) -> float:
-        """The smallest change."""
-        return float(10.0**-self.decimals)
+    def decimals(self) -> int:
+        """Number of decimals: 1 for mm, g and °, 2 for s and friction."""
+        return 2 if self.gene.shown[0] == 1.0 else 1
 
-    def read(self, individual: Robot) -> float:
-        """The robot's number, rounded as it is shown."""
-        return round(self.exact(individual), self.decimals)
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Lower and upper end of the slider."""
+        return self._round(self.gene.lower), self._round(self.gene.upper)
 
-    def write(self, individual: Robot, value: float) -> Robot:
-        """The robot with another number, its record gone; itself if it shows that number already.
+    def read(self, robot: Robot) -> float:
+        """The number, rounded to `decimals`."""
+        return self._round(_values(robot)[self.index])
 
-        Raises:
-            CaterpillarError: the value is not within the bounds.
+    def write(self, robot: Robot, value: float) -> Robot:
+        """The robot with another number and without its record; itself if it shows that number.
+
+        A value out of bounds is replaced by the nearest bound.
         """
-        if value == self.read(individual):
-            return individual
-        if not self.lower <= value <= self.upper:
-            raise CaterpillarError(
-                f"{self.label}: {value:g} is not in {self.lower:g} to {self.upper:g}; choose one there"
-            )
-        return replace(self.put(individual, value), fitness_m=None, generation=None)
+        lower, upper = self.bounds
+        value = min(upper, max(lower, value))
+        if value == self.read(robot):
+            return robot
+        values = _values(robot)
+        # The rounded end of a slider can lie beyond the bound: 57.3° is more than 1 rad.
+        values[self.index] = np.clip(value / self.gene.shown[0], self.gene.lower, self.gene.upper)
+        return _with_values(robot, values)
+
+    def _round(self, value: float) -> float:
+        return round(float(value) * self.gene.shown[0], self.decimals)
 
 
-def fields_of(individual: Robot) -> list[Field]:
-    """All that can be changed of a robot with as many segments and times as this one."""
-    body = individual.morphology
-    segments = [None] if isinstance(body, Morphology) else list(range(len(body)))
-    return [
-        _friction(individual.physics.friction),
-        *(_of_body(p, segment) for segment in segments for p in PARAMETERS),
-        *(
-            _of_gait(individual, index, edge)
-            for index in range(len(individual.timed))
-            for edge in ("on", "off")
-        ),
-    ]
+def fields_of(robot: Robot) -> list[Field]:
+    """All fields of a robot: friction, the parameters of its body, the times of its gait."""
+    friction = robot.physics.friction
+    lower, upper = min(_FRICTION_BOUNDS[0], friction), max(_FRICTION_BOUNDS[1], friction)
+    kind: GenomeKind = "full" if len(robot.timings.on_s) == robot.physics.num_springs else "shared"
+    genes = Encoding(robot.physics, robot.timings.period_s, kind).genes
+    folders = ["body"]
+    if isinstance(robot.morphology, tuple):
+        folders = [f"segment {i + 1}" for i in range(len(robot.morphology))]
+    rows = [("", Gene("friction", "", "", lower, upper, "friction"))]
+    rows += [(folder, gene) for folder in folders for gene in genes[: len(PARAMETERS)]]
+    rows += [("gait", gene) for gene in genes[len(PARAMETERS) :]]
+    return [Field(index, folder, gene) for index, (folder, gene) in enumerate(rows)]
 
 
-def _friction(friction: float) -> Field:
-    return Field(
-        folder="",
-        label="friction",
-        hint="of feet and elements on the ground; another one starts anew",
-        lower=min(_LOWEST_FRICTION, round(friction, 2)),
-        upper=max(_HIGHEST_FRICTION, round(friction, 2)),
-        decimals=2,
-        exact=lambda robot: robot.physics.friction,
-        put=lambda robot, value: replace(robot, physics=replace(robot.physics, friction=value)),
-    )
+def _values(robot: Robot) -> Array:
+    """The exact numbers of all fields in SI units, (fields,)."""
+    return np.append(robot.physics.friction, gene_values([robot.morphology], robot.gaits))
 
 
-def _of_body(p: Parameter, segment: int | None) -> Field:
-    unit, factor, decimals = _SHOWN[p.unit]
-
-    def exact(robot: Robot) -> float:
-        body = robot.morphology
-        part = body if isinstance(body, Morphology) else body[segment or 0]
-        return factor * float(getattr(part, p.name))
-
-    def put(robot: Robot, value: float) -> Robot:
-        body = robot.morphology
-        changed = {p.name: value / factor}
-        if isinstance(body, Morphology):
-            return replace(robot, morphology=replace(body, **changed))
-        parts = [replace(part, **changed) if i == segment else part for i, part in enumerate(body)]
-        return replace(robot, morphology=tuple(parts))
-
-    return Field(
-        folder="body" if segment is None else f"segment {segment + 1}",
-        label=f"{p.name.removesuffix('_' + p.unit).replace('_', ' ')}, {unit}",
-        hint=f"{p.description} ({p.symbol} in the paper); another one starts anew",
-        lower=round(factor * p.lower, decimals),
-        upper=round(factor * p.upper, decimals),
-        decimals=decimals,
-        exact=exact,
-        put=put,
-    )
-
-
-def _of_gait(individual: Robot, index: int, edge: Literal["on", "off"]) -> Field:
-    def exact(robot: Robot) -> float:
-        return float((robot.timings.on_s if edge == "on" else robot.timings.off_s)[index])
-
-    def put(robot: Robot, value: float) -> Robot:
-        on, off = np.array(robot.timings.on_s), np.array(robot.timings.off_s)
-        (on if edge == "on" else off)[index] = value
-        return replace(robot, timings=GaitTimings(robot.timings.period_s, on, off))
-
-    return Field(
-        folder="gait, times in s",
-        label=f"{individual.timed[index].replace('_', ' ')} {edge}",
-        hint=f"when the power goes {edge}; off before on: powered round the end of the period",
-        lower=0.0,
-        upper=individual.timings.period_s,
-        decimals=2,
-        exact=exact,
-        put=put,
+def _with_values(robot: Robot, values: Array) -> Robot:
+    body, size = robot.morphology, len(PARAMETERS)
+    end = 1 + size * (len(body) if isinstance(body, tuple) else 1)
+    segments = tuple(map(Morphology.of, values[1:end].reshape(-1, size)))
+    return Robot(
+        segments if isinstance(body, tuple) else segments[0],
+        GaitTimings(robot.timings.period_s, values[end::2], values[end + 1 :: 2]),
+        replace(robot.physics, friction=float(values[0])),
     )

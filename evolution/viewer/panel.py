@@ -1,4 +1,4 @@
-"""What a page shows beside the robot: buttons, sliders, how it fares, and plots."""
+"""The controls and plots beside the robot."""
 
 from __future__ import annotations
 
@@ -11,108 +11,104 @@ from matplotlib.colors import to_hex
 from viser import GuiApi, GuiSliderHandle, GuiUplotHandle, uplot
 
 from caterpillar_env.drawing.overlay import spring_rgb
+from caterpillar_env.morphology import PARAMETERS
 from caterpillar_env.robot import Robot
 from caterpillar_env.sma import SmaSpring
 from caterpillar_env.task import EPISODE_S, Failure
 from evolution.viewer.fields import Field, fields_of
-from evolution.viewer.session import History, Session
+from evolution.viewer.session import Session
 
-BUTTONS = ("Play", "Pause", "Reset")
-FILES = ("Save", "Restore")
-_PLOT_HEIGHT_PX = 175
-_SPEED = (0.1, 8.0, 0.1)
+_HINTS = {p.name: f"{p.description} ({p.symbol} in the paper); restarts the robot" for p in PARAMETERS}
+_HINTS["friction"] = "of feet and elements on the ground; restarts the robot"
+_TIME_HINT = "if off comes before on, the power stays on past the end of the period"
 
-#: Tells what a page's user wants: the label of a button, or a change of the robot.
-OnButton = Callable[[str], None]
-OnEdit = Callable[[Callable[[Robot], Robot]], None]
+#: Returns the changed robot.
+Edit = Callable[[Robot], Robot]
 
 
 class Panel:
-    """Controls and plots of one page. They only tell and are told; nothing is simulated here.
+    """Controls and plots of one page.
 
     Args:
-        gui: the page's.
-        individual: the robot to begin with.
-        on_button: called with one of `BUTTONS` or `FILES`, or with "Redraw".
-        on_edit: called with a function that makes the changed robot of the present one.
+        gui: controls of the page.
+        robot: the robot to begin with.
+        on_button: called with the label of a button: "Play", "Pause", "Reset", "Save", "Restore", or
+            "Follow" for the checkbox.
+        on_edit: called with the change that a slider makes.
+
+    Attributes:
+        status: text about the robot.
+        speed: simulated seconds per second.
+        follow: whether the robot stays in view.
+        temperature: plot in °C, one line for each of the springs or pairs that the gait times.
+        fraction: plot of the austenite fraction, likewise.
+        distance: plot in mm.
     """
 
-    def __init__(self, gui: GuiApi, individual: Robot, on_button: OnButton, on_edit: OnEdit) -> None:
+    def __init__(
+        self,
+        gui: GuiApi,
+        robot: Robot,
+        on_button: Callable[[str], None],
+        on_edit: Callable[[Edit], None],
+    ) -> None:
         self._gui = gui
         gui.main_panel.dock_right()
         gui.main_panel.set_width(370)
-        self._status = gui.add_markdown("")
-        for label, options in (("robot", BUTTONS), ("file", FILES)):
-            group = gui.add_button_group(label, options)
-            group.on_click(lambda event: on_button(str(event.target.value)))
-        lower, upper, step = _SPEED
-        self._speed = gui.add_slider("speed", lower, upper, step, 1.0, hint="1 is real time")
-        self._follow = gui.add_checkbox("follow", True, hint="the robot stays in view")
-        self._follow.on_update(lambda _: on_button("Redraw"))
+        self.status = gui.add_markdown("")
+        for label, options in (("robot", ("Play", "Pause", "Reset")), ("file", ("Save", "Restore"))):
+            buttons = gui.add_button_group(label, options)
+            buttons.on_click(lambda event: on_button(str(event.target.value)))
+        self.speed = gui.add_slider("speed", 0.1, 8.0, 0.1, 1.0, hint="1 is real time")
+        self.follow = gui.add_checkbox("follow", True, hint="keep the robot in view")
+        self.follow.on_update(lambda _: on_button("Follow"))
         self._sliders: list[tuple[Field, GuiSliderHandle[float]]] = []
-        for folder, fields in groupby(fields_of(individual), lambda field: field.folder):
+        for folder, fields in groupby(fields_of(robot), lambda field: field.folder):
             with gui.add_folder(folder or None, expand_by_default=not folder.startswith("segment")):
                 for field in fields:
-                    self._add_slider(field, individual, on_edit)
-        self._add_plots(individual.timed, individual.physics.spring)
+                    self._add_slider(field, robot, on_edit)
+        self._add_plots(robot.timed, robot.physics.spring)
 
-    @property
-    def speed(self) -> float:
-        """Simulated seconds per second."""
-        return float(self._speed.value)
-
-    @property
-    def follow(self) -> bool:
-        """Whether the robot is to stay in view."""
-        return bool(self._follow.value)
-
-    def show(self, individual: Robot) -> None:
-        """Put the sliders where the robot is."""
+    def set_sliders(self, robot: Robot) -> None:
+        """Set the sliders to the numbers of a robot."""
         for field, slider in self._sliders:
-            slider.value = field.read(individual)  # type: ignore[misc]  # it can be set
+            slider.value = field.read(robot)  # type: ignore[misc]  # it can be set
 
-    def tell(self, session: Session, *, playing: bool, complaint: str = "") -> None:
-        """Say how the robot fares, and draw its plots.
-
-        Args:
-            session: the robot.
-            playing: whether time passes.
-            complaint: why the last change was refused.
-        """
-        done = session.progress
-        self._status.content = (
-            f"**{_fate(session, playing=playing)}** at {done.time_s[0]:.1f} s\n\n"
-            f"distance **{1000 * done.distance_m[0]:.1f} mm**, "
-            f"sideways {1000 * done.lateral_m[0]:.1f} mm, energy {done.energy_j[0]:.1f} J"
-            + (f"\n\n**{complaint}**" if complaint else "")
+    def update(self, session: Session, *, playing: bool) -> None:
+        """Update text and plots from the simulation, which is running if `playing` is true."""
+        progress = session.progress
+        self.status.content = (
+            f"**{_state(session, playing=playing)}** at {progress.time_s[0]:.1f} s\n\n"
+            f"distance **{1000 * progress.distance_m[0]:.1f} mm**, "
+            f"sideways {1000 * progress.lateral_m[0]:.1f} mm, energy {progress.energy_j[0]:.1f} J"
         )
-        history: History = session.history
-        for plot, values in (
-            (self._temperature, history.temperature_c),
-            (self._fraction, history.fraction),
-            (self._distance, 1000 * history.distance_m[:, None]),
-        ):
-            plot.data = (history.time_s.copy(), *(column.copy() for column in values.T))
+        time_s, distance_m, temperature_c, fraction = session.measurements()
+        self.temperature.data = (time_s, *np.ascontiguousarray(temperature_c.T))
+        self.fraction.data = (time_s, *np.ascontiguousarray(fraction.T))
+        self.distance.data = (time_s, 1000 * distance_m)
 
-    def _add_slider(self, field: Field, individual: Robot, on_edit: OnEdit) -> None:
-        slider = self._gui.add_slider(
-            field.label, field.lower, field.upper, field.step, field.read(individual), hint=field.hint
-        )
+    def _add_slider(self, field: Field, robot: Robot, on_edit: Callable[[Edit], None]) -> None:
+        gene, (lower, upper), step = field.gene, field.bounds, 10.0**-field.decimals
+        label = f"{gene.title}, {gene.shown[1]}".removesuffix(", ")
+        hint = _HINTS.get(gene.name, _TIME_HINT)
+        slider = self._gui.add_slider(label, lower, upper, step, field.read(robot), hint=hint)
         slider.on_update(lambda _: on_edit(lambda robot: field.write(robot, slider.value)))
         self._sliders.append((field, slider))
 
     def _add_plots(self, timed: list[str], spring: SmaSpring) -> None:
+        gaps = list(dict.fromkeys(name.split("_")[0] for name in timed))
+        shades = 0.75 * np.arange(len(gaps)) / max(len(gaps) - 1, 1)
+        colours = dict(zip(gaps, map(to_hex, colormaps["viridis"](shades)), strict=True))
         panel = self._gui.add_panel()
         panel.dock_left()
         panel.set_width(310)
         with panel.add_tab("Plots"):
-            colours = _colours(timed)
             self._gui.add_html(_legend(colours, spring))
             lines = [_line(name, colours[name.split("_")[0]]) for name in timed]
-            self._temperature = self._plot("temperature, degC", lines)
-            self._fraction = self._plot("austenite fraction", lines, (-0.05, 1.05))
             distance = uplot.Series(label="distance", stroke="#333333", width=2)
-            self._distance = self._plot("distance, mm", [distance])
+            self.temperature = self._plot("temperature, °C", lines)
+            self.fraction = self._plot("austenite fraction", lines, (-0.05, 1.05))
+            self.distance = self._plot("distance, mm", [distance])
 
     def _plot(
         self, title: str, lines: list[uplot.Series], bounds: tuple[float, float] | None = None
@@ -123,25 +119,18 @@ class Panel:
         empty = tuple(np.zeros(1) for _ in range(1 + len(lines)))
         return self._gui.add_uplot(
             data=empty, series=(uplot.Series(label="s"), *lines), title=title, scales=scales,
-            height=_PLOT_HEIGHT_PX, legend=uplot.Legend(show=False), padding=(12, 16, 0, 0),
+            height=175, legend=uplot.Legend(show=False), padding=(12, 16, 0, 0),
         )  # fmt: skip
 
 
-def _fate(session: Session, *, playing: bool) -> str:
+def _state(session: Session, *, playing: bool) -> str:
     if session.failure is not Failure.NONE:
-        return f"Stopped: {session.failure.label}"
-    if session.over:
-        return "Time is up"
+        return f"Failed: {session.failure.label}"
+    if session.finished:
+        return "Finished"
     if playing:
         return "Crawling"
     return "Paused" if session.time_s else "Ready"
-
-
-def _colours(timed: list[str]) -> dict[str, str]:
-    """A colour for each gap."""
-    gaps = list(dict.fromkeys(name.split("_")[0] for name in timed))
-    last = max(len(gaps) - 1, 1)
-    return {gap: to_hex(colormaps["viridis"](0.75 * i / last)) for i, gap in enumerate(gaps)}
 
 
 def _line(name: str, colour: str) -> uplot.Series:
@@ -152,13 +141,13 @@ def _line(name: str, colour: str) -> uplot.Series:
 
 
 def _legend(colours: dict[str, str], spring: SmaSpring) -> str:
-    """What the lines of the plots are, and the springs' colours in the picture."""
-    marks = " ".join(f'<b style="color: {colour}">{gap}</b>' for gap, colour in colours.items())
+    """HTML that explains the lines of the plots and the colours of the springs in the picture."""
+    gaps = " ".join(f'<b style="color: {colour}">{gap}</b>' for gap, colour in colours.items())
     points_c = np.array([spring.ambient_c, spring.austenite_start_c, spring.cut_off_c])
-    bar = ", ".join(to_hex(rgb) for rgb in spring_rgb(spring, points_c))
+    gradient = ", ".join(to_hex(rgb) for rgb in spring_rgb(spring, points_c))
     return (
-        f'<p style="margin: 0.5em 1em; font-size: 0.85em">{marks}, ventral springs dashed; time in s<br>'
+        f'<p style="margin: 0.5em 1em; font-size: 0.85em">{gaps}, ventral springs dashed; time in s<br>'
         f"springs {points_c[0]:.0f} "
         f'<span style="display: inline-block; width: 8em; height: 0.7em; '
-        f'background: linear-gradient(90deg, {bar})"></span> {points_c[-1]:.0f} degC</p>'
+        f'background: linear-gradient(90deg, {gradient})"></span> {points_c[-1]:.0f} °C</p>'
     )

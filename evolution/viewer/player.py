@@ -1,4 +1,4 @@
-"""Lets time pass for the robot of one page, in a thread of its own."""
+"""Runs the robot of one page in a thread of its own."""
 
 from __future__ import annotations
 
@@ -10,148 +10,101 @@ from collections.abc import Callable
 
 import viser
 
-from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.robot import Robot
 from evolution.viewer.panel import Panel
 from evolution.viewer.scene import RobotScene
 from evolution.viewer.session import Session
 
 _FRAME_S = 1 / 30
-_TELL_S = 0.2  # between two states of the plots
-_LONGEST_FRAME_S = 0.25  # after a longer halt time goes on from where it was
-
-Edit = Callable[[Robot], Robot]
+_PANEL_S = 0.2  # between two updates of text and plots
+_LONGEST_FRAME_S = 0.25  # after a longer interruption the robot does not catch up
 
 
 class Player:
-    """One page: its robot, scene and panel, and the thread that alone touches them.
+    """One page: its robot, scene and panel, and the only thread that changes them.
 
-    Buttons and sliders put orders into a queue; the thread does them between two frames.
+    Buttons and sliders put functions into a queue, which the thread calls between two frames.
 
     Args:
         page: a client, or a server for all its clients.
-        individual: the robot to begin with.
+        robot: the robot to begin with.
+
+    Attributes:
+        session: the simulation.
+        panel: controls and plots.
     """
 
-    def __init__(self, page: viser.ClientHandle | viser.ViserServer, individual: Robot) -> None:
-        self._page, self._original = page, individual
-        self._session = Session(individual)
-        self._wanted = individual  # what the sliders say
+    def __init__(self, page: viser.ClientHandle | viser.ViserServer, robot: Robot) -> None:
+        self.session = Session(robot)
+        self._page, self._original = page, robot
         self._playing = False
-        self._shown_s = 0.0  # simulated time of the frame that is drawn
-        self._complaint = ""
-        self._told_at_s = 0.0
-        self._orders: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._shown_s = 0.0  # simulated time of the pose in the picture
+        self._panel_updated_s = 0.0
+        self._queue: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._closing = threading.Event()
         with page.atomic():
             self._scene = RobotScene(page.scene)
-            self._panel = Panel(page.gui, individual, self._pressed, self._edited)
-            self._rebuild()
+            self.panel = Panel(
+                page.gui,
+                robot,
+                on_button=lambda button: self._queue.put(lambda: self._press(button)),
+                on_edit=lambda edit: self._queue.put(lambda: self._change(edit(self.session.robot))),
+            )
+            self._show(panel=True)
         self._thread = threading.Thread(target=self._run, name="caterpillar-page", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread, and wait for it."""
-        self._orders.put(None)
+        """Stop the thread and wait for it."""
+        self._closing.set()
         self._thread.join()
-
-    def _pressed(self, button: str) -> None:
-        actions: dict[str, Callable[[], None]] = {
-            "Play": self._play, "Pause": self._pause, "Reset": self._reset,
-            "Save": self._save, "Restore": self._restore, "Redraw": self._draw,
-        }  # fmt: skip
-        self._orders.put(actions[button])
-
-    def _edited(self, edit: Edit) -> None:
-        self._orders.put(lambda: self._want(edit))
 
     def _run(self) -> None:
         last_s = time.monotonic()
-        while True:
-            due_s = max(last_s + _FRAME_S - time.monotonic(), 0.0)
-            try:
-                order = self._orders.get(timeout=due_s if self._playing else None)
-                while True:
-                    if order is None:
-                        return
-                    order()
-                    order = self._orders.get_nowait()
-            except queue.Empty:
-                pass
-            # Once for all the steps that a slider was dragged over meanwhile.
-            self._change()
+        while not self._closing.wait(_FRAME_S):
             now_s = time.monotonic()
-            if self._playing and now_s >= last_s + _FRAME_S:
-                self._pass(min(now_s - last_s, _LONGEST_FRAME_S))
-                last_s = now_s
-            elif not self._playing:
-                last_s = now_s
+            handled = not self._queue.empty()
+            while not self._queue.empty():
+                self._queue.get()()
+            if self._playing:
+                self._advance(min(now_s - last_s, _LONGEST_FRAME_S))
+                handled |= not self._playing
+            if handled or self._playing:
+                self._show(panel=handled or now_s - self._panel_updated_s > _PANEL_S)
+            last_s = now_s
 
-    def _pass(self, elapsed_s: float) -> None:
-        session = self._session
-        self._shown_s += self._panel.speed * elapsed_s
-        while session.time_s < self._shown_s and not session.over:
+    def _advance(self, elapsed_s: float) -> None:
+        session = self.session
+        self._shown_s += self.panel.speed.value * elapsed_s
+        while session.time_s < self._shown_s and not session.finished:
             session.advance()
-        if session.over and session.time_s <= self._shown_s:
+        if session.finished and session.time_s <= self._shown_s:
             self._shown_s = session.time_s
             self._playing = False
+
+    def _show(self, *, panel: bool) -> None:
+        """Draw the robot, and update the panel too if `panel` is true."""
         with self._page.atomic():
-            self._draw()
-            if not self._playing or time.monotonic() - self._told_at_s > _TELL_S:
-                self._tell()
+            qpos, temperature_c = self.session.pose(self._shown_s)
+            follow = self.panel.follow.value
+            self._scene.draw(self.session.robot, qpos, temperature_c, follow=follow)
+            if panel:
+                self._panel_updated_s = time.monotonic()
+                self.panel.update(self.session, playing=self._playing)
 
-    def _play(self) -> None:
-        if self._session.over:
-            self._reset()
-        self._playing = True
-        self._tell()
-
-    def _pause(self) -> None:
-        self._playing = False
-        self._tell()
-
-    def _reset(self) -> None:
-        self._session.reset()
-        self._shown_s = 0.0
-        with self._page.atomic():
-            self._draw()
-            self._tell()
-
-    def _restore(self) -> None:
-        self._wanted = self._original
-        self._panel.show(self._original)
-
-    def _save(self) -> None:
-        text = json.dumps(self._session.to_save().to_dict(), indent=2) + "\n"
-        self._page.send_file_download("robot.json", text.encode(), save_immediately=True)
-
-    def _want(self, edit: Edit) -> None:
-        complaint = ""
-        try:
-            self._wanted = edit(self._wanted)
-        except CaterpillarError as error:
-            # Not put right here: it may be half of a number, and the page does so when it is left.
-            complaint = str(error)
-        if complaint != self._complaint:
-            self._complaint = complaint
-            self._tell()
-
-    def _change(self) -> None:
-        if self._wanted is self._session.individual:
-            return
-        if self._session.change(self._wanted):
+    def _press(self, button: str) -> None:
+        if button == "Reset" or (button == "Play" and self.session.finished):
+            self.session.reset()
             self._shown_s = 0.0
-            with self._page.atomic():
-                self._rebuild()
-        self._tell()
+        if button in ("Play", "Pause"):
+            self._playing = button == "Play"
+        elif button == "Restore":
+            self.panel.set_sliders(self._original)
+            self._change(self._original)
+        elif button == "Save":
+            text = json.dumps(self.session.result().to_dict(), indent=2) + "\n"
+            self._page.send_file_download("robot.json", text.encode(), save_immediately=True)
 
-    def _rebuild(self) -> None:
-        self._scene.build(self._session.individual)
-        self._draw()
-        self._tell()
-
-    def _draw(self) -> None:
-        self._scene.draw(*self._session.pose(self._shown_s), follow=self._panel.follow)
-
-    def _tell(self) -> None:
-        self._told_at_s = time.monotonic()
-        self._panel.tell(self._session, playing=self._playing, complaint=self._complaint)
+    def _change(self, robot: Robot) -> None:
+        if robot is not self.session.robot and self.session.change(robot):
+            self._shown_s = 0.0

@@ -1,4 +1,4 @@
-"""The robot as it is drawn in the page: the geometry of the compiled model, springs by temperature."""
+"""Draws the robot in the page: the geometry of its model, with springs coloured by temperature."""
 
 from __future__ import annotations
 
@@ -9,35 +9,61 @@ from viser import FrameHandle, LineSegmentsHandle, SceneApi
 from caterpillar_env.arrays import Array
 from caterpillar_env.drawing.overlay import spring_rgb
 from caterpillar_env.model import build_model
+from caterpillar_env.morphology import Body
+from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Robot
 
-_GROUND_M = 4.0  # side of the ground; nothing crawls 2 m in 30 s
+_GROUND_M = 4.0  # side of the ground; no robot crawls 2 m in 30 s
 
 
 class RobotScene:
-    """Ground and robot in one page's scene.
+    """The ground and one robot.
 
     Args:
-        scene: where they are drawn.
+        scene: scene of the page.
     """
 
     def __init__(self, scene: SceneApi) -> None:
         self._scene = scene
         self._world = scene.add_frame("/world", show_axes=False)
         self._robot: FrameHandle | None = None
+        self._built: tuple[Body, Physics] | None = None
         scene.add_grid(
             "/world/ground", width=_GROUND_M, height=_GROUND_M, cell_size=0.01, section_size=0.1,
             cell_color=(170, 178, 170), section_color=(120, 130, 120), plane_color=(222, 228, 222),
             plane_opacity=1.0, fade_distance=2.0,
         )  # fmt: skip
 
-    def build(self, individual: Robot) -> None:
-        """Put another robot in the place of the one that there is."""
+    def draw(self, robot: Robot, qpos: Array, temperature_c: Array, *, follow: bool) -> None:
+        """Draw a robot; it replaces the one before.
+
+        Args:
+            robot: its body and physics; the gait has no influence.
+            qpos: generalised positions, (nq,); a pose that is not finite is skipped.
+            temperature_c: of the springs, (num_springs,).
+            follow: whether to move the ground instead of the robot, which keeps it in view.
+        """
+        if (robot.morphology, robot.physics) != self._built:
+            self._build(robot)
+        if not np.isfinite(qpos).all():
+            return
+        model, data = self._model, self._data
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        for element, position, wxyz in zip(self._elements, data.xpos[1:], data.xquat[1:], strict=True):
+            element.position, element.wxyz = position, wxyz
+        self._springs.points = data.site_xpos[self._ends].astype(np.float32)
+        colours = np.round(255 * spring_rgb(robot.physics.spring, temperature_c)[:, None])
+        self._springs.colors = np.repeat(colours.astype(np.uint8), 2, axis=1)
+        middle = data.xpos[1:].mean(axis=0)
+        self._world.position = (-middle[0], -middle[1], 0.0) if follow else (0.0, 0.0, 0.0)
+
+    def _build(self, robot: Robot) -> None:
         if self._robot is not None:
             self._robot.remove()
-        physics = individual.physics
-        model = build_model(individual.morphology, physics)
-        self._spring, self._model, self._data = physics.spring, model, mujoco.MjData(model)
+        self._built = (robot.morphology, robot.physics)
+        model = build_model(robot.morphology, robot.physics)
+        self._model, self._data = model, mujoco.MjData(model)
         self._robot = self._scene.add_frame("/world/robot", show_axes=False)
         self._elements = [
             self._scene.add_frame(f"/world/robot/{model.body(i).name}", show_axes=False)
@@ -54,40 +80,19 @@ class RobotScene:
             thickness=2 * float(model.tendon_width[0]),
         )
 
-    def draw(self, qpos: Array, temperature_c: Array, *, follow: bool) -> None:
-        """Draw a pose.
-
-        Args:
-            qpos: generalised positions, (nq,). One that is not finite is not drawn.
-            temperature_c: of the springs, (num_springs,).
-            follow: whether the ground moves and the robot stays, so that any camera follows it.
-        """
-        if not np.isfinite(qpos).all():
-            return
-        model, data = self._model, self._data
-        data.qpos[:] = qpos
-        mujoco.mj_kinematics(model, data)
-        for element, position, wxyz in zip(self._elements, data.xpos[1:], data.xquat[1:], strict=True):
-            element.position, element.wxyz = position, wxyz
-        self._springs.points = data.site_xpos[self._ends].astype(np.float32)
-        colours = np.round(255 * spring_rgb(self._spring, temperature_c)[:, None])
-        self._springs.colors = np.repeat(colours.astype(np.uint8), 2, axis=1)
-        middle = data.xpos[1:].mean(axis=0)
-        self._world.position = (-middle[0], -middle[1], 0.0) if follow else (0.0, 0.0, 0.0)
-
     def _add_geom(self, geom: int) -> None:
         model = self._model
         shape = mujoco.mjtGeom(model.geom_type[geom])
         *colour, opacity = model.geom_rgba[geom].tolist()
         size = model.geom_size[geom].tolist()
         name = f"/world/robot/{model.body(model.geom_bodyid[geom]).name}/geom{geom}"
-        placed = {
+        common = {
             "color": tuple(colour), "opacity": opacity if opacity < 1 else None,
             "position": model.geom_pos[geom], "wxyz": model.geom_quat[geom],
         }  # fmt: skip
         if shape == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-            self._scene.add_icosphere(name, scale=tuple(size), **placed)
+            self._scene.add_icosphere(name, scale=tuple(size), **common)
         elif shape == mujoco.mjtGeom.mjGEOM_SPHERE:
-            self._scene.add_icosphere(name, radius=size[0], **placed)
-        else:  # the ends of a leg's capsule are within the body and the foot
-            self._scene.add_cylinder(name, radius=size[0], height=2 * size[1], **placed)
+            self._scene.add_icosphere(name, radius=size[0], **common)
+        else:  # a leg: body and foot hide the ends of its capsule
+            self._scene.add_cylinder(name, radius=size[0], height=2 * size[1], **common)

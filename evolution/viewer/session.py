@@ -1,4 +1,4 @@
-"""The robot of one page: what it is, and what has become of it since it was put at the start."""
+"""The simulation behind one page: a robot that crawls and can be changed meanwhile."""
 
 from __future__ import annotations
 
@@ -15,149 +15,144 @@ from caterpillar_env.pose import Trace
 from caterpillar_env.robot import Outcomes, Robot
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress
 
-#: A wave from the tail, ventral pairs half a period after dorsal ones; each is heated for 1 s.
-_ON_S = (0.0, 2.5, 3.3, 0.8, 1.7, 4.2)
-_OFF_S = (1.0, 3.5, 4.3, 1.8, 2.7, 0.2)
 _INTERVALS = count_steps(EPISODE_S, CONTROL_INTERVAL_S, "the episode")
 
 
 def nominal_robot() -> Robot:
-    """The robot to begin with: the nominal body, with a gait that crawls."""
-    return Robot(Morphology(), GaitTimings(5.0, np.array(_ON_S), np.array(_OFF_S)), Physics())
+    """The nominal body with a gait that crawls.
+
+    The gait is a wave from the tail: each pair is heated for 1 s, ventral pairs half a period after
+    dorsal ones.
+    """
+    on_s, off_s = (0.0, 2.5, 3.3, 0.8, 1.7, 4.2), (1.0, 3.5, 4.3, 1.8, 2.7, 0.2)
+    return Robot(Morphology(), GaitTimings(5.0, np.array(on_s), np.array(off_s)), Physics())
 
 
-class History(NamedTuple):
-    """What was measured at the start and at the end of each of N control intervals."""
+class Measurements(NamedTuple):
+    """Measurements at the start and at the end of each of N control intervals."""
 
     time_s: Array  #: since the start, (N + 1,)
-    distance_m: Array  #: of the centre of mass, forwards, (N + 1,)
-    temperature_c: Array  #: of what the gait times, mirrored pairs or springs, (N + 1, n)
-    fraction: Array  #: austenite fraction, likewise
+    distance_m: Array  #: of the centre of mass along the starting heading, (N + 1,)
+    temperature_c: Array  #: of the n mirrored pairs or springs that the gait times, (N + 1, n)
+    fraction: Array  #: austenite fraction of the same, (N + 1, n)
 
 
 class Session:
-    """One robot that crawls for 30 s, or until it fails, and that can be changed meanwhile.
+    """One robot that crawls for 30 s, or until it fails. It can be changed on the way.
 
-    Without changes it repeats `Robot.simulate` bit for bit.
+    A robot that is not changed repeats `Robot.simulate` bit for bit.
 
     Args:
-        individual: the robot.
+        robot: the robot.
+
+    Attributes:
+        robot: the present robot.
 
     Raises:
-        TimingError: its gait period is not a whole number of control intervals, or its times are neither
-            those of its springs nor of its mirrored pairs.
+        TimingError: the gait period is not a multiple of the control interval, or the number of times
+            is neither that of the springs nor that of the mirrored pairs.
     """
 
-    def __init__(self, individual: Robot) -> None:
-        self.individual = individual
-        self._power = _power(individual)
-        self._crawl = Crawl([individual.morphology], individual.physics, threads=1)
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self._power = _power(robot)
         self.reset()
 
     def reset(self) -> None:
         """Put the robot at the start."""
-        self._crawl.reset([self.individual.morphology])
-        self._trace: Trace | None = None
-        self._changed_on_the_way = False
-        self._count = 0
-        shape = (_INTERVALS + 1, len(self.individual.timed))
-        self._history = History(
-            np.zeros(_INTERVALS + 1), np.zeros(_INTERVALS + 1), np.zeros(shape), np.zeros(shape)
-        )
-        self._record()
+        self._crawl = Crawl([self.robot.morphology], self.robot.physics, threads=1)
+        self._trace: Trace | None = None  # of the last control interval
+        self._gait_changed = False
+        self._measured: list[tuple[float, float, Array, Array]] = []
+        self._measure()
 
-    def change(self, individual: Robot) -> bool:
-        """Take another body, gait or physics.
+    def change(self, robot: Robot) -> bool:
+        """Replace the robot. A new body or physics restarts it; a new gait alone does not.
 
         Returns:
-            Whether the robot was put at the start; another gait alone goes on from where it is.
+            Whether the robot was restarted.
 
         Raises:
-            TimingError: as for the class; the robot is then as before.
+            TimingError: see the class; the session keeps its robot.
         """
-        old = self.individual
-        self._power = _power(individual)
-        self.individual = individual
-        if individual.physics != old.physics:
-            self._crawl = Crawl([individual.morphology], individual.physics, threads=1)
-        elif individual.morphology == old.morphology:
-            self._changed_on_the_way |= self._count > 0
-            return False
-        self.reset()
-        return True
+        self._power = _power(robot)
+        old, self.robot = self.robot, robot
+        if robot.physics != old.physics or robot.morphology != old.morphology:
+            self.reset()
+            return True
+        self._gait_changed |= self._intervals > 0
+        return False
 
     def advance(self) -> None:
-        """Crawl for one control interval; nothing when it is `over`."""
-        if self.over:
+        """Simulate one control interval, unless `finished`."""
+        if self.finished:
             return
-        first = self._count * STEPS_PER_INTERVAL % len(self._power)
-        part = self._power[None, first : first + STEPS_PER_INTERVAL]
-        self._crawl.run(part, on_interval=self._keep)
-        self._count += 1
-        self._record()
+        traces: list[Trace] = []
+        first = self._intervals * STEPS_PER_INTERVAL % len(self._power)
+        power = self._power[None, first : first + STEPS_PER_INTERVAL]
+        self._crawl.run(power, on_interval=traces.append)
+        self._trace = traces[-1]
+        self._measure()
 
     def pose(self, time_s: float) -> tuple[Array, Array]:
-        """Generalised positions (nq,) and the springs' temperatures in degC (num_springs,).
+        """Generalised positions (nq,) and the springs' temperatures in °C (num_springs,).
 
         Args:
-            time_s: a time within the last control interval; otherwise the nearest one.
+            time_s: a time in the last control interval; other times are clipped to it.
         """
         if self._trace is None:
             simulation = self._crawl.simulation
             return simulation.qpos(0), simulation.state().temperature_c[0]
-        steps = self._trace.qpos.shape[1]
-        number = round(time_s / SMA_STEP_S) - (self._count - 1) * STEPS_PER_INTERVAL - 1
-        number = min(max(number, 0), steps - 1)
-        return self._trace.qpos[0, number], self._trace.temperature_c[0, number]
+        step = round(time_s / SMA_STEP_S) - 1 - (self._intervals - 1) * STEPS_PER_INTERVAL
+        step = min(max(step, 0), STEPS_PER_INTERVAL - 1)
+        return self._trace.qpos[0, step], self._trace.temperature_c[0, step]
 
-    @property
-    def history(self) -> History:
-        """What was measured since the start."""
-        end = self._count + 1
-        return History(*(values[:end] for values in self._history))
+    def measurements(self) -> Measurements:
+        """All measurements since the start."""
+        return Measurements(*(np.array(column) for column in zip(*self._measured, strict=True)))
 
     @property
     def progress(self) -> Progress:
-        """What the robot has achieved, arrays of shape (1,)."""
+        """The robot's progress since the start, as arrays of shape (1,)."""
         return self._crawl.progress()
 
     @property
     def time_s(self) -> float:
-        """Simulated since the start."""
+        """Simulated time since the start."""
         return float(self.progress.time_s[0])
 
     @property
     def failure(self) -> Failure:
-        """Why the robot was stopped, if it was."""
+        """Why the robot was stopped; `Failure.NONE` if it was not."""
         return Failure(int(self.progress.failure[0]))
 
     @property
-    def over(self) -> bool:
-        """Whether the robot has failed or its time is up."""
-        return self.failure is not Failure.NONE or self._count == _INTERVALS
+    def finished(self) -> bool:
+        """Whether the robot has failed or the 30 s are over."""
+        return self.failure is not Failure.NONE or self._intervals == _INTERVALS
 
-    def to_save(self) -> Robot:
-        """The robot; with its fitness where it has crawled to the end unchanged."""
-        if not self.over or self._changed_on_the_way:
-            return self.individual
-        return replace(self.individual, fitness_m=float(Outcomes.of(self.progress).fitness()[0]))
+    def result(self) -> Robot:
+        """The robot, with its fitness if it is finished and was not changed on the way."""
+        if not self.finished or self._gait_changed:
+            return self.robot
+        return replace(self.robot, fitness_m=float(Outcomes.of(self.progress).fitness()[0]))
 
-    def _keep(self, trace: Trace) -> None:
-        self._trace = trace
+    @property
+    def _intervals(self) -> int:
+        return len(self._measured) - 1
 
-    def _record(self) -> None:
-        state = self._crawl.simulation.state()
-        # A pair's springs are heated alike, so its left one tells of both.
-        stride = self.individual.physics.num_springs // self._history.fraction.shape[1]
-        row = self._count
-        self._history.time_s[row] = state.time_s[0]
-        self._history.distance_m[row] = self.progress.distance_m[0]
-        self._history.temperature_c[row] = state.temperature_c[0, ::stride]
-        self._history.fraction[row] = state.fraction[0, ::stride]
+    def _measure(self) -> None:
+        state, progress = self._crawl.simulation.state(), self.progress
+        # The springs of a pair have one temperature, so the left one stands for both.
+        stride = self.robot.physics.num_springs // len(self.robot.timed)
+        temperature_c, fraction = state.temperature_c[0, ::stride], state.fraction[0, ::stride]
+        self._measured.append(
+            (float(state.time_s[0]), float(progress.distance_m[0]), temperature_c, fraction)
+        )
 
 
-def _power(individual: Robot) -> Array:
-    """Share of the drive power over one period, (steps, num_springs)."""
-    timings = individual.timings
+def _power(robot: Robot) -> Array:
+    """Share of the drive power over one gait period, (steps, num_springs)."""
+    timings = robot.timings
     count_steps(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
-    return timings.of_springs(individual.physics.num_springs).power(SMA_STEP_S)
+    return timings.of_springs(robot.physics.num_springs).power(SMA_STEP_S)

@@ -1,4 +1,4 @@
-"""The page in a real browser: Chromium without a window, clicks, pictures and two tabs."""
+"""The page in headless Chromium: clicks, pictures and two tabs."""
 
 import io
 import json
@@ -18,7 +18,7 @@ pytest.importorskip("viser")
 from evolution.viewer.server import Viewer
 
 TIMEOUT_MS = 120_000  # software rendering on a busy machine
-SMALL = {"width": 1024, "height": 500}  # is drawn sooner
+SMALL = {"width": 1024, "height": 500}  # faster to draw
 SLIDER_ROW = "xpath=ancestor::div[contains(@class, 'Flex-root')][1]"
 
 pytestmark = [
@@ -27,14 +27,14 @@ pytestmark = [
 ]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def viewer():
     with Viewer(nominal_robot(), 0) as viewer:
         yield viewer
 
 
 class Tab:
-    """One tab, as its user sees it."""
+    """One browser tab."""
 
     def __init__(self, browser, url, **kwargs):
         self.page = browser.new_page(**kwargs)
@@ -52,16 +52,16 @@ class Tab:
         self.page.get_by_role("button", name=button, exact=True).click()
 
     def distance_mm(self):
-        said = self.page.get_by_text("sideways").inner_text()
-        return float(said.split("distance")[1].split("mm")[0])
+        status = self.page.get_by_text("sideways").inner_text()
+        return float(status.split("distance")[1].split("mm")[0])
 
     def slider(self, label):
         row = self.page.locator("label", has_text=label).locator(SLIDER_ROW)
         return row.locator("input[inputmode=decimal]")
 
     def picture(self):
-        """The part of the window between the panels, as soon as the robot is drawn."""
-        clip = {"x": 330, "y": 160, "width": 560, "height": 560}
+        """The part of the window between the panels."""
+        clip = {"x": 330, "y": 100, "width": 300, "height": 300}
         return imageio.imread(io.BytesIO(self.page.screenshot(clip=clip)), extension=".png")[..., :3]
 
     def wait(self, condition):
@@ -76,13 +76,13 @@ def page_threads():
 
 
 def greenish(picture):
-    """Pixels of the robot's shells, as a share of all."""
+    """Share of the pixels that show the robot's shells."""
     red, green, blue = picture.astype(int).transpose(2, 0, 1)
     return float(((green > red + 8) & (green > blue + 20)).mean())
 
 
-def test_play_moves_the_robot_and_no_other_host_is_asked(browser, viewer):
-    tab = Tab(browser, viewer.url, viewport={"width": 1280, "height": 800})
+def test_play_moves_the_robot_and_nothing_is_loaded_from_other_hosts(browser, viewer):
+    tab = Tab(browser, viewer.url, viewport=SMALL)
     tab.wait(lambda: greenish(tab.picture()) > 0.02)
     before = tab.picture()
     assert tab.distance_mm() == 0
@@ -102,7 +102,7 @@ def test_play_moves_the_robot_and_no_other_host_is_asked(browser, viewer):
     tab.page.close()
 
 
-def test_two_tabs_have_robots_of_their_own_which_go_with_them(browser, viewer):
+def test_every_tab_has_its_own_robot_and_closing_it_ends_its_thread(browser, viewer):
     first, second = (Tab(browser, viewer.url, viewport=SMALL) for _ in range(2))
     assert len(page_threads()) == 2
     first.slider("segment radius").fill("13.5")
@@ -122,7 +122,7 @@ def test_two_tabs_have_robots_of_their_own_which_go_with_them(browser, viewer):
     assert not page_threads()
 
 
-def test_bad_values_cannot_be_entered_and_the_robot_is_saved_as_it_is(browser, viewer, tmp_path):
+def test_typed_numbers_stay_within_their_bounds_and_the_robot_can_be_saved(browser, viewer, tmp_path):
     tab = Tab(browser, viewer.url, viewport=SMALL)
     box = tab.slider("segment radius")
     for typed, kept in (("99", "15"), ("-3", "9"), ("11.26", "11.2"), ("1e9", None), ("12.5", "12.5")):
@@ -133,7 +133,6 @@ def test_bad_values_cannot_be_entered_and_the_robot_is_saved_as_it_is(browser, v
         if kept is not None:
             tab.wait(lambda kept=kept: box.input_value() == kept)
         assert 9 <= float(box.input_value()) <= 15
-    tab.wait(lambda: tab.page.get_by_text("is not in").count() == 0)
     with tab.page.expect_download() as download:
         tab.press("Save")
     download.value.save_as(tmp_path / "robot.json")
@@ -141,18 +140,4 @@ def test_bad_values_cannot_be_entered_and_the_robot_is_saved_as_it_is(browser, v
     assert robot.morphology.segment_radius_m == 0.0125
     assert robot.timings.on_s.tolist() == nominal_robot().timings.on_s.tolist()
     assert json.loads((tmp_path / "robot.json").read_text())["fitness_m"] is None
-    tab.page.close()
-
-
-def test_phone_shows_the_robot_above_the_controls(browser, viewer):
-    phone = {"width": 390, "height": 844}
-    tab = Tab(browser, viewer.url, viewport=phone, is_mobile=True, has_touch=True)
-
-    def upper_part():
-        shot = tab.page.screenshot(clip={"x": 0, "y": 0, "width": 390, "height": 330})
-        return imageio.imread(io.BytesIO(shot), extension=".png")[..., :3]
-
-    tab.wait(lambda: greenish(upper_part()) > 0.01)
-    tab.press("Play")
-    tab.wait(lambda: tab.distance_mm() != 0)
     tab.page.close()

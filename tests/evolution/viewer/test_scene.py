@@ -1,4 +1,4 @@
-"""What is drawn is where MuJoCo has it."""
+"""The scene shows the robot where MuJoCo puts it."""
 
 from dataclasses import replace
 
@@ -24,17 +24,20 @@ def crawling():
     return session
 
 
+def draw_at_start(scene, robot):
+    scene.draw(robot, *Session(robot).pose(0.0), follow=True)
+
+
 def node(page, name):
     return page.scene._handle_from_node_name[name]
 
 
-def test_elements_springs_and_colours_are_those_of_the_model(page, crawling):
+def test_elements_springs_and_colours_match_the_model(page, crawling):
     scene = RobotScene(page.scene)
-    scene.build(crawling.individual)
     qpos, temperature_c = crawling.pose(crawling.time_s)
-    scene.draw(qpos, temperature_c, follow=False)
-    physics = crawling.individual.physics
-    model = build_model(crawling.individual.morphology, physics)
+    scene.draw(crawling.robot, qpos, temperature_c, follow=False)
+    physics = crawling.robot.physics
+    model = build_model(crawling.robot.morphology, physics)
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
@@ -50,10 +53,10 @@ def test_elements_springs_and_colours_are_those_of_the_model(page, crawling):
     assert len(np.unique(springs.colors[:, 0], axis=0)) > 2
 
 
-def test_all_geoms_of_the_robot_are_there_with_their_sizes(page):
+def test_all_geoms_of_the_robot_have_their_sizes(page):
     robot = replace(nominal_robot(), physics=Physics(num_segments=4))
     scene = RobotScene(page.scene)
-    scene.build(robot)
+    draw_at_start(scene, robot)
     model = build_model(robot.morphology, robot.physics)
     drawn = 0
     for geom in np.flatnonzero(model.geom_bodyid):  # the others are the ground and its ruler
@@ -67,35 +70,33 @@ def test_all_geoms_of_the_robot_are_there_with_their_sizes(page):
     assert drawn == 8 + 8 + 8  # shells, feet, legs
 
 
-def test_ground_moves_under_a_robot_that_is_followed(page, crawling):
+def test_following_moves_the_ground_instead_of_the_robot(page, crawling):
     scene = RobotScene(page.scene)
-    scene.build(crawling.individual)
     qpos, temperature_c = crawling.pose(crawling.time_s)
     moved = qpos + np.r_[0.5, 0.25, np.zeros(len(qpos) - 2)]
-    scene.draw(qpos, temperature_c, follow=True)
+    scene.draw(crawling.robot, qpos, temperature_c, follow=True)
     before = np.array(node(page, "/world").position)
-    scene.draw(moved, temperature_c, follow=True)
+    scene.draw(crawling.robot, moved, temperature_c, follow=True)
     np.testing.assert_allclose(node(page, "/world").position - before, [-0.5, -0.25, 0], atol=1e-12)
-    scene.draw(moved, temperature_c, follow=False)
+    scene.draw(crawling.robot, moved, temperature_c, follow=False)
     np.testing.assert_array_equal(node(page, "/world").position, 0)
 
 
-def test_pose_that_is_not_finite_leaves_the_last_one(page, crawling):
+def test_a_pose_that_is_not_finite_is_skipped(page, crawling):
     scene = RobotScene(page.scene)
-    scene.build(crawling.individual)
     qpos, temperature_c = crawling.pose(crawling.time_s)
-    scene.draw(qpos, temperature_c, follow=False)
+    scene.draw(crawling.robot, qpos, temperature_c, follow=False)
     before = np.array(node(page, "/world/robot/element0").position)
-    scene.draw(np.full_like(qpos, np.nan), temperature_c, follow=False)
+    scene.draw(crawling.robot, np.full_like(qpos, np.nan), temperature_c, follow=False)
     np.testing.assert_array_equal(node(page, "/world/robot/element0").position, before)
 
 
-def test_another_body_takes_the_place_of_the_first(page):
+def test_a_new_body_replaces_the_one_before(page):
     robot = nominal_robot()
     scene = RobotScene(page.scene)
-    scene.build(robot)
+    draw_at_start(scene, robot)
     wide = replace(robot, morphology=replace(robot.morphology, segment_radius_m=0.015))
-    scene.build(wide)
+    draw_at_start(scene, wide)
     model = build_model(wide.morphology, wide.physics)
     shell = model.geom("shell0").id
     assert node(page, f"/world/robot/element0/geom{shell}").scale[1:] == (0.015, 0.015)

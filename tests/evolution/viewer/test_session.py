@@ -1,4 +1,4 @@
-"""The robot of a page repeats what fitness evaluation does, and can be changed on the way."""
+"""A session repeats the fitness evaluation, and its robot can be changed on the way."""
 
 from dataclasses import replace
 
@@ -23,36 +23,36 @@ def robot():
     return Robot(Morphology(), GAIT, SHORT)
 
 
-def crawled(session, intervals=300):
+def run(session, intervals=300):
     for _ in range(intervals):
         session.advance()
     return session
 
 
-def test_nominal_robot_crawls_as_it_is_evaluated():
+def test_nominal_robot_crawls_as_in_the_fitness_evaluation():
     robot = nominal_robot()
-    session = crawled(Session(robot))
-    assert session.over
+    session = run(Session(robot))
+    assert session.finished
     outcomes = robot.simulate(threads=1)
     assert session.progress.distance_m[0] == outcomes.distance_m[0] > 0.15
     assert session.progress.energy_j[0] == outcomes.energy_j[0]
     assert session.failure is Failure.NONE
     assert session.time_s == pytest.approx(EPISODE_S)
-    assert session.to_save().fitness_m == outcomes.fitness()[0]
+    assert session.result().fitness_m == outcomes.fitness()[0]
 
 
-def test_history_and_poses_are_those_of_the_simulation(robot):
+def test_measurements_and_poses_match_the_simulation(robot):
     session = Session(robot)
-    assert len(session.history.time_s) == 1
+    assert len(session.measurements().time_s) == 1
     for _ in range(3):
         session.advance()
-    history = session.history
-    np.testing.assert_allclose(history.time_s, [0, 0.1, 0.2, 0.3])
-    assert history.temperature_c.shape == history.fraction.shape == (4, 2)
+    measured = session.measurements()
+    np.testing.assert_allclose(measured.time_s, [0, 0.1, 0.2, 0.3])
+    assert measured.temperature_c.shape == measured.fraction.shape == (4, 2)
     ambient = SmaSpring().ambient_c
-    assert history.temperature_c[0] == pytest.approx(ambient)
-    assert history.temperature_c[3, 0] > history.temperature_c[2, 0] > ambient
-    assert history.temperature_c[3, 1] == pytest.approx(ambient)  # not powered yet
+    assert measured.temperature_c[0] == pytest.approx(ambient)
+    assert measured.temperature_c[3, 0] > measured.temperature_c[2, 0] > ambient
+    assert measured.temperature_c[3, 1] == pytest.approx(ambient)  # not powered yet
 
     traces = []
     robot.simulate(threads=1, duration_s=0.3, on_interval=traces.append)
@@ -64,7 +64,7 @@ def test_history_and_poses_are_those_of_the_simulation(robot):
     np.testing.assert_array_equal(session.pose(0.0)[0], traces[-1].qpos[0, 0])
 
 
-def test_another_body_or_physics_starts_anew_and_equals_a_fresh_robot(robot):
+def test_a_new_body_or_physics_restarts_like_a_new_session(robot):
     for change in (
         {"morphology": replace(robot.morphology, segment_length_m=0.025)},
         {"physics": replace(SHORT, friction=0.3)},
@@ -74,38 +74,38 @@ def test_another_body_or_physics_starts_anew_and_equals_a_fresh_robot(robot):
         other = replace(robot, **change)
         assert session.change(other)
         assert session.time_s == 0
-        distance_m = crawled(session, 10).progress.distance_m[0]
-        assert distance_m == crawled(Session(other), 10).progress.distance_m[0]
-        assert distance_m != crawled(Session(robot), 10).progress.distance_m[0]
+        distance_m = run(session, 10).progress.distance_m[0]
+        assert distance_m == run(Session(other), 10).progress.distance_m[0]
+        assert distance_m != run(Session(robot), 10).progress.distance_m[0]
 
 
-def test_another_gait_goes_on_and_leaves_no_fitness_behind(robot):
+def test_a_new_gait_does_not_restart_and_the_result_has_no_fitness(robot):
     session = Session(robot)
     session.advance()
     idle = replace(robot, timings=GaitTimings(2.0, np.zeros(2), np.zeros(2)))
     assert not session.change(idle)
     assert session.time_s == pytest.approx(0.1)
-    hot = session.history.temperature_c[-1, 0]
-    crawled(session)
-    assert session.history.temperature_c[-1, 0] < hot
-    assert session.to_save().fitness_m is None
+    hot = session.measurements().temperature_c[-1, 0]
+    run(session)
+    assert session.measurements().temperature_c[-1, 0] < hot
+    assert session.result().fitness_m is None
     session.reset()
-    assert session.to_save().fitness_m is None  # nothing has happened yet
-    assert crawled(session).to_save().fitness_m is not None
+    assert session.result().fitness_m is None  # it is at the start
+    assert run(session).result().fitness_m is not None
 
 
-def test_robot_that_fails_stops(robot):
+def test_a_failed_robot_stops(robot):
     wide = replace(nominal_robot(), physics=Physics(mismatch_std=3.0, mismatch_seed=1))
-    session = crawled(Session(wide))
+    session = run(Session(wide))
     assert session.failure is not Failure.NONE
     assert session.time_s < EPISODE_S
     at_s = session.time_s
     session.advance()
     assert session.time_s == at_s
-    assert session.to_save().fitness_m == 0.0
+    assert session.result().fitness_m == 0.0
 
 
-def test_gait_that_cannot_be_run_is_refused(robot):
+def test_an_invalid_gait_raises_an_error(robot):
     with pytest.raises(TimingError, match=r"whole multiple of 0\.1 s"):
         Session(replace(robot, timings=GaitTimings(0.25, np.zeros(2), np.zeros(2))))
     with pytest.raises(TimingError, match="times of 4 springs or 2"):
