@@ -1,25 +1,25 @@
-"""Evolve a few robots, tell of each generation, and read the best one back."""
+"""Evolve a few robots, report each generation, and simulate the best robot again."""
 
 import tempfile
 from pathlib import Path
 
-from caterpillar_env.robot import Robot
-from evolution.config import RunConfig
-from evolution.optimizers.ga import GaConfig
-from evolution.run.loop import Generation, evolve
+from evolution import GaConfig, Generation, RunConfig, evolve
 
 
-def tell(generation: Generation) -> None:
-    """A line a generation."""
+def report(generation: Generation) -> None:
+    """Print one line."""
     failed = sum(generation.failures.values())
     print(f"generation {generation.number}  best {1000 * generation.best_m:5.1f} mm  failed {failed}")
 
 
-config = RunConfig(seed=1, generations=3, ga=GaConfig(population=5, hall_of_fame=1))
+config = RunConfig(seed=1, generations=3, ga=GaConfig(population=5))
 folder = Path(tempfile.mkdtemp(prefix="caterpillar-"))
-evolve(config, folder, on_generation=tell)
+history = evolve(config, folder, on_generation=report)  # later: evolution.load(folder)
 
-best = Robot.load(folder)  # best.json; the journal beside it holds everybody
-for name, value in best.to_dict()["morphology"].items():
+robot = history.best_robot
+if robot is None:
+    raise SystemExit("no robot crawled forwards without failing")
+for name, value in robot.to_dict()["morphology"].items():
     print(f"{name:18} {value:.4f}")
-print(f"again: {1000 * best.simulate().distance_m[0]:.1f} mm; film it: caterpillar replay {folder}")
+distance_m = float(robot.simulate().distance_m[0])
+print(f"again: {1000 * distance_m:.1f} mm; film it: caterpillar replay {folder}")

@@ -1,4 +1,4 @@
-"""PPO in one file, in the manner of CleanRL, on the native vector environment; needs torch."""
+"""PPO in one file, in the style of CleanRL, on the native vector environment; needs torch."""
 
 import gymnasium
 import torch
@@ -7,7 +7,7 @@ from torch import nn
 from torch.distributions import Normal
 
 NUM_ENVS, STEPS, EPOCHS = 8, 6, 10  # an episode is six steps
-UPDATES = 4  # to see it run; it takes a hundred to learn something
+UPDATES = 4  # a short demonstration; learning takes about a hundred
 GAMMA, LAMBDA, CLIP = 0.5, 0.95, 0.2
 
 torch.manual_seed(0)
@@ -23,33 +23,34 @@ with torch.no_grad():
 adam = torch.optim.Adam([*actor.parameters(), *critic.parameters(), log_std], lr=1e-3)
 
 state = torch.as_tensor(envs.reset(seed=0)[0])
-fresh = torch.zeros(NUM_ENVS, dtype=torch.bool)  # rows that do nothing but start anew in a step
+fresh = torch.zeros(NUM_ENVS, dtype=torch.bool)  # rows that are reset in this step
 for update in range(UPDATES):
     steps, returns = [], []
     for _ in range(STEPS):
         with torch.no_grad():
             policy = Normal(actor(state), log_std.exp())
             action = policy.sample()
-            seen, reward, terminated, truncated, info = envs.step(action.clamp(-1, 1).numpy())
-            following = torch.as_tensor(seen)
-            future = critic(following) * ~torch.as_tensor(terminated)  # a truncated robot has one
+            observation, reward, terminated, truncated, info = envs.step(action.clamp(-1, 1).numpy())
+            following = torch.as_tensor(observation)
+            future = critic(following) * ~torch.as_tensor(terminated)  # a truncated robot has a future
             error = torch.as_tensor(reward) + GAMMA * future - critic(state)
         done = torch.as_tensor(terminated | truncated)
         steps.append((state, action, policy.log_prob(action).sum(1), error, done, ~fresh))
         returns += list(info["episode"]["r"][info["_episode"]]) if "episode" in info else []
         state, fresh = following, done
-    gain, gains = torch.zeros(NUM_ENVS), []
+    advantage, advantages = torch.zeros(NUM_ENVS), []
     for *_, error, done, _ in reversed(steps):
-        gain = error + GAMMA * LAMBDA * ~done * gain
-        gains.insert(0, gain)
+        advantage = error + GAMMA * LAMBDA * ~done * advantage
+        advantages.insert(0, advantage)
     used = torch.cat([step[5] for step in steps])
-    states, actions, before = (torch.cat([step[i] for step in steps])[used] for i in range(3))
-    gain = torch.cat(gains)[used].float()
-    goal = gain + critic(states).detach()
+    states, actions, log_probs = (torch.cat([step[i] for step in steps])[used] for i in range(3))
+    advantage = torch.cat(advantages)[used].float()
+    target = advantage + critic(states).detach()
     for _ in range(EPOCHS):
-        ratio = (Normal(actor(states), log_std.exp()).log_prob(actions).sum(1) - before).exp()
-        gained = torch.minimum(ratio * gain, ratio.clamp(1 - CLIP, 1 + CLIP) * gain).mean()
-        loss = (critic(states) - goal).square().mean() - gained
+        ratio = (Normal(actor(states), log_std.exp()).log_prob(actions).sum(1) - log_probs).exp()
+        clipped = ratio.clamp(1 - CLIP, 1 + CLIP)
+        objective = torch.minimum(ratio * advantage, clipped * advantage).mean()
+        loss = (critic(states) - target).square().mean() - objective
         adam.zero_grad()
         loss.backward()
         adam.step()

@@ -1,9 +1,9 @@
-"""What the preprocessor says of one gene, drawn with draws from it."""
+"""Plot the distribution that the preprocessor gives to one gene, and samples from it."""
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from evolution.config import RunConfig
+from evolution import RunConfig
 
 GENE = "attachment_z_m"
 
@@ -11,20 +11,20 @@ config = RunConfig()
 index = [gene.name for gene in config.encoding.genes].index(GENE)
 gene, prior = config.encoding.genes[index], config.distributions()[index]
 unit = np.linspace(0, 1, 201)
-draws = prior.sample(np.random.default_rng(0), 2000)
+samples = prior.sample(np.random.default_rng(0), 2000)
 
 
-def in_mm(share: np.ndarray) -> np.ndarray:
-    """From [0, 1] to millimetres."""
+def to_mm(share: np.ndarray) -> np.ndarray:
+    """Convert from [0, 1] to mm."""
     return 1000 * (gene.lower + share * (gene.upper - gene.lower))
 
 
 figure = Figure(figsize=(6, 3), layout="constrained")
 axis = figure.subplots()
 width_mm = 1000 * (gene.upper - gene.lower)
-axis.hist(in_mm(draws), bins=20, density=True, alpha=0.3, label="2,000 draws")
-axis.plot(in_mm(unit), prior.density(unit) / width_mm, label="density")
+axis.hist(to_mm(samples), bins=20, density=True, alpha=0.3, label="2,000 samples")
+axis.plot(to_mm(unit), prior.density(unit) / width_mm, label="density")
 axis.set(xlabel=f"{GENE.removesuffix('_m').replace('_', ' ')}, mm", ylabel="density, 1/mm")
 axis.legend()
 figure.savefig("prior.png", dpi=120)
-print(f"{GENE}: {prior}, drawn in prior.png")
+print(f"{GENE}: {prior}; see prior.png")

@@ -1,4 +1,4 @@
-"""Eight robots of different bodies step together: one gait does not suit them all."""
+"""Step eight robots with different bodies and the same gait in one batch."""
 
 import gymnasium
 import numpy as np
@@ -6,7 +6,7 @@ import numpy as np
 from caterpillar_env import Morphology
 
 NUM_ROBOTS = 8
-PAIRS_ON = np.array([0, 3, 4, 1, 2, 5]) / 6  # share of the period: a wave from the tail
+PAIRS_ON = np.array([0, 3, 4, 1, 2, 5]) / 6  # shares of the period: a wave from the tail
 
 rng = np.random.default_rng(0)
 bodies = [Morphology.from_unit(rng.random(8)) for _ in range(NUM_ROBOTS)]
@@ -14,7 +14,7 @@ env = gymnasium.make_vec(
     "caterpillar_env:CaterpillarSMA-v0",
     num_envs=NUM_ROBOTS,
     morphology=bodies,
-    terminate_on_failure=False,  # so that all of them end together
+    terminate_on_failure=False,  # so that all episodes end together
 )
 env.reset(seed=0)
 gait = 2 * np.stack([PAIRS_ON, (PAIRS_ON + 0.2) % 1], axis=1).ravel() - 1
@@ -22,6 +22,6 @@ truncated = np.zeros(NUM_ROBOTS, dtype=bool)
 while not truncated.all():
     _, _, _, truncated, infos = env.step(np.tile(gait, (NUM_ROBOTS, 1)))
 for body, distance_m, failure in zip(bodies, infos["distance"], infos["failure"], strict=True):
-    size = f"{1000 * body.segment_length_m:.1f} mm a segment, {1000 * body.segment_mass_kg:4.1f} g"
+    size = f"segments of {1000 * body.segment_length_m:.1f} mm, {1000 * body.segment_mass_kg:4.1f} g"
     print(f"{size}: {1000 * distance_m:6.1f} mm, {failure}")
 env.close()

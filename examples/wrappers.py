@@ -1,16 +1,14 @@
-"""Gymnasium's wrappers around a robot that switches its springs in a wave; needs moviepy."""
+"""Film a robot that switches its springs in a wave, with Gymnasium's wrappers; needs moviepy."""
 
 import gymnasium
 import numpy as np
 from gymnasium.wrappers import NormalizeObservation, RecordEpisodeStatistics, RecordVideo
 
-import caterpillar_env  # noqa: F401  registers the environments
-
 PERIOD_STEPS = 25  # of 0.2 s
 DUTY = 0.2  # share of the period in which a spring is powered
 
 env = gymnasium.make(
-    "CaterpillarSMASwitch-v0",
+    "caterpillar_env:CaterpillarSMASwitch-v0",
     frame_skip=2,
     episode_s=10.0,
     render_mode="rgb_array",
@@ -21,8 +19,8 @@ env = RecordVideo(env, "videos", name_prefix="wave", episode_trigger=lambda epis
 env = NormalizeObservation(env)  # running mean 0 and variance 1
 env = RecordEpisodeStatistics(env)
 
-gap, ventral = np.repeat(np.arange(3), 4), np.tile([0, 0, 1, 1], 3)  # where each spring is
-lead = gap / 3 + ventral / 2  # the tail first, ventral springs half a period after dorsal ones
+gap, ventral = np.repeat(np.arange(3), 4), np.tile([0, 0, 1, 1], 3)  # position of each spring
+lead = gap / 3 + ventral / 2  # the tail leads; ventral springs follow after half a period
 observation, info = env.reset(seed=0)
 done, step = False, 0
 while not done:
@@ -31,4 +29,4 @@ while not done:
     done, step = terminated or truncated, step + 1
 env.close()
 print(f"return {info['episode']['r']:.2f} in {info['episode']['l']} steps ({info['failure']})")
-print("filmed in videos/wave-episode-0.mp4")
+print("video: videos/wave-episode-0.mp4")

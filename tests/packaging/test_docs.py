@@ -1,5 +1,6 @@
-"""What the documentation shows can be run, and what it points to is there."""
+"""The code blocks of the documentation run, its commands exist, and its links lead somewhere."""
 
+import ast
 import re
 import shlex
 from pathlib import Path
@@ -14,17 +15,17 @@ from evolution.study.config import read_toml
 ROOT = Path(__file__).parents[2]
 SITE = [page for page in sorted((ROOT / "docs").rglob("*.md")) if "_build" not in page.parts]
 PAGES = [*SITE, *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"))]
-#: Flags that make the commands of a page short; the last of two that contradict each other counts.
+#: Flags that shorten the commands of a page; they override earlier ones.
 SHORT = {
-    "evolve": "--generations 1 --population 4 --hall-of-fame 1 --cma-population 4 --no-video",
+    "evolve": "--generations 1 --population 4 --cma-population 4 --no-video",
     "resume": "--generations 2 --no-video",
     "replay": "--speed 300 --width 128 --height 96",
-    "view": "--help",  # else it would serve for ever
+    "view": "--help",  # the server would run until Ctrl-C
 }
 
 
 class Block(NamedTuple):
-    """A fenced block of code, and why it is not run here, where a comment before it tells."""
+    """A fenced block of code; `reason` is the comment before it that excludes it, if any."""
 
     reason: str
     language: str
@@ -48,13 +49,13 @@ def blocks(page: Path) -> list[Block]:
     return [Block(*parts) for parts in found]
 
 
-def named(pages):
+def each(pages):
     return pytest.mark.parametrize("page", pages, ids=lambda page: str(page.relative_to(ROOT)))
 
 
 def with_blocks(*languages):
     chosen = [p for p in PAGES if any(b.language in languages and not b.reason for b in blocks(p))]
-    return named(chosen)
+    return each(chosen)
 
 
 @pytest.mark.slow
@@ -67,12 +68,12 @@ def test_page_can_be_followed(page, tmp_path, monkeypatch):
             exec(compile(block.code, f"{page.name} {number}", "exec"), {"__name__": page.stem})
         elif block.language == "sh":
             for program, name, *rest in block.commands:
-                assert program == "caterpillar", "say in a comment before the block why it is not run"
+                assert program == "caterpillar", "a comment before the block must say why it is not run"
                 assert cli.main([name, *rest, *SHORT.get(name, "").split()]) == 0
 
 
-@named(PAGES)
-def test_blocks_are_of_a_kind_that_is_looked_after(page):
+@each(PAGES)
+def test_blocks_have_a_known_language(page):
     for block in blocks(page):
         assert block.language in (
             "python",
@@ -84,6 +85,16 @@ def test_blocks_are_of_a_kind_that_is_looked_after(page):
         ), block
 
 
+@each([page for page in PAGES if any("tests/" in block.reason for block in blocks(page))])
+def test_excluded_blocks_name_tests_that_exist(page):
+    for block in blocks(page):
+        for file, function in re.findall(r"(tests/[\w/.]+\w)(?:::(\w+))?", block.reason):
+            assert (ROOT / file).exists(), file
+            if function:
+                tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+                assert function in {n.name for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)}
+
+
 @with_blocks("toml")
 def test_studies_in_the_docs_can_be_run(page, tmp_path):
     for block in blocks(page):
@@ -92,25 +103,25 @@ def test_studies_in_the_docs_can_be_run(page, tmp_path):
             assert len(read_toml(tmp_path / "study.toml").cells()) > 1
 
 
-@named([p for p in PAGES if "\ncaterpillar " in text_of(p)])
+@each([p for p in PAGES if "\ncaterpillar " in text_of(p)])
 def test_commands_and_their_flags_exist(page, capsys):
     lines = [words for block in blocks(page) for words in block.commands if block.language == "sh"]
     for name, *rest in (words[1:] for words in lines if words[0] == "caterpillar"):
         part = rest[:1] if name == "rl" else []
         assert cli.main([name, *part, "--help"]) == 0
-        told = capsys.readouterr().out
+        output = capsys.readouterr().out
         for flag in (word for word in rest if word.startswith("--")):
-            assert flag in told, (name, flag)
+            assert flag in output, (name, flag)
 
 
 def anchors(page: Path) -> set[str]:
-    """What headings are called in links, by GitHub's rule."""
+    """The anchors of headings, by GitHub's rule."""
     prose = re.sub(r"^```.*?^```$", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
     headings = re.findall(r"^#+ (.+)$", prose, flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", h.lower()).strip().replace(" ", "-") for h in headings}
 
 
-@named(PAGES)
+@each(PAGES)
 def test_links_lead_somewhere(page):
     targets = re.findall(r"\]\(([^)\s]+)\)", text_of(page))
     for target in targets:
