@@ -103,7 +103,7 @@ def gait(robot: Robot) -> Figure:
         axis.set(ylim=(-0.05, 1.05), xlim=(0, timings.period_s), yticks=[0, 1])
     axes[0].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, fontsize="small", frameon=False)
     mirrored = len(names) < robot.physics.num_springs
-    title = "One gait period" + (" (left and right are the same)" if mirrored else "")
+    title = "One gait period" + (" (left = right)" if mirrored else "")
     axes[0].set_title(title, loc="left", fontsize="medium")
     axes[-1].set_xlabel("time in the period (s)")
     return figure

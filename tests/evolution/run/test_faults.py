@@ -136,5 +136,5 @@ def test_ctrl_c_ends_a_run_on_ray_within_seconds_and_says_how_to_go_on(tmp_path)
     told = worker.communicate(timeout=60)[1]
     assert worker.returncode == 130
     assert time.monotonic() - started < 15  # one, when the machine has nothing else to do
-    assert f"stopped; go on with: caterpillar resume {folder}" in told
+    assert f"stopped; continue with: caterpillar resume {folder}" in told
     assert "Traceback" not in told
