@@ -40,7 +40,7 @@ class Viewer:
 
     def __init__(self, robot: Robot, port: int) -> None:
         self._robot = robot
-        self._players: dict[int, Player] = {}
+        self._players: dict[int, Player] = {}  # by client; viser's threads add and remove them
         # A tab was closed before it had received all messages.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         Session(robot)  # raises if the robot cannot be simulated
