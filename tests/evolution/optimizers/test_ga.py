@@ -47,6 +47,24 @@ def generations(algorithm, fitness_of, count):
     return asked
 
 
+# Selection
+
+
+def test_the_least_positive_fitness_is_selected_in_proportion_too():
+    copies = ga([Rank()], population=400, hall_of_fame=0, crossover_rate=0.0, mutation_rate=0.0)
+    first = copies.ask()
+    copies.tell(first, np.where(first[:, 0] < 0.5, 1.0, 3.0))
+    assert np.mean(copies.ask() < 0.5) == pytest.approx(0.25, abs=0.06)
+
+
+def test_of_equal_genomes_the_first_are_the_elites():
+    copies = ga([Rank()], population=40, hall_of_fame=5, crossover_rate=0.0, mutation_rate=0.0)
+    first = copies.ask()
+    copies.tell(first, np.ones(40))
+    children = copies.ask()
+    assert children.min() >= first[5:].min()  # the elites do not breed
+
+
 # Roulette
 
 
