@@ -36,8 +36,9 @@ class EvolveArgs:
 def evolve_command(argv: Sequence[str]) -> int:
     """Evolve body and gait: genetic algorithm, CMA-ES or random search."""
     preset = argparse.ArgumentParser("caterpillar evolve", add_help=False, allow_abbrev=False)
-    preset.add_argument("--preset", choices=PRESETS, default="paper")
-    defaults = EvolveArgs(config=PRESETS[preset.parse_known_args(argv)[0].preset])
+    preset.add_argument("--preset", default="paper")
+    name = preset.parse_known_args(argv)[0].preset
+    defaults = EvolveArgs(config=PRESETS.get(name, PRESETS["paper"]))  # `parse` rejects other names
     args = cli.parse(EvolveArgs, argv, "evolve", defaults)
     config, workers, console = args.config, args.workers, cli.console()
     folder = args.out or unused(Path("runs"), f"{config.optimizer}-{config.prior}-seed{config.seed}")
