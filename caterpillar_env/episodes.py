@@ -213,7 +213,7 @@ class Episodes:
         )
 
     def check_actions(self, actions: Any, count: int) -> Array:
-        """Return the actions of `count` robots as an array, (count, *action_space.shape).
+        """Return the actions of `count` robots as an array: (count,) and the shape of `action_space`.
 
         Raises:
             TimingError: wrong shape, not finite, or in switch mode not 0 or 1.
