@@ -1,4 +1,4 @@
-"""Settings of MuJoCo: integrator, solver and what is switched off."""
+"""Numerical options of MuJoCo: integrator, solver and disabled features."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCon
 
 
 def set_options(spec: mujoco.MjSpec, p: Physics) -> None:
-    """Write the numerical settings of `p` into a description of a model."""
+    """Set the numerical options of `spec` from `p`."""
     option = spec.option
     option.timestep = p.timestep_s
     option.integrator = _INTEGRATORS[p.integrator]
@@ -25,9 +25,9 @@ def set_options(spec: mujoco.MjSpec, p: Physics) -> None:
     option.impratio = p.impratio
     option.tolerance = p.solver_tolerance
     option.iterations = p.solver_iterations
-    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # 4.0.0's sparse Newton Hessian is wrong
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # MuJoCo 4.0.0's sparse Newton Hessian is wrong
     off = mujoco.mjtDisableBit
-    # A robot that blows up must stay visible as such, not be put back to the start.
+    # Auto-reset would hide a divergence, which must be reported as a failure.
     option.disableflags |= off.mjDSBL_AUTORESET
-    # One robot on a plane is one island, with nothing to cull: the same bits for less.
+    # A single robot on a plane gains nothing from islands or midphase culling; results are identical.
     option.disableflags |= off.mjDSBL_ISLAND | off.mjDSBL_MIDPHASE

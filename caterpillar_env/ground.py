@@ -1,6 +1,7 @@
-"""The ground: which parts touch it, how high they are above it, and how much load they carry.
+"""The ground plane, its load sensors, and the clearance of the robot above it.
 
-Feet and skin touch two coincident planes, so that the engine sums the loads of the two separately.
+There are two coincident planes, one for the feet and one for the skin, so that MuJoCo sums the loads of
+feet and skin separately.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
 
-#: Contact bits of the two kinds of parts that touch the ground.
+#: Contact bits of the feet and of the skin.
 FOOT, SKIN = 1, 2
-#: Depth of the feet in the ground at the start, so that rounding does not decide which of them touch it.
+#: Initial depth of the feet in the ground, so that all touch it in spite of rounding errors.
 STANCE_M = 1e-9
 _PLANES = {"ground": FOOT, "ground_skin": SKIN}
 _FORCE = 1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value
@@ -24,18 +25,14 @@ _SENSORS = slice(2, None, 3)  # vertical components of the two forces, N
 
 
 def add_ground(spec: mujoco.MjSpec) -> mujoco.MjsGeom:
-    """Add the ground, with a sensor of the load on the feet and one of that on the skin.
-
-    Returns:
-        The plane that is drawn.
-    """
+    """Add the ground planes and their load sensors to `spec`, and return the visible plane."""
     planes = []
     for name, bit in _PLANES.items():
-        drawn = bit == FOOT
+        visible = bit == FOOT
         planes.append(
             spec.worldbody.add_geom(
                 name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05],
-                contype=bit, conaffinity=0, priority=0, rgba=[0.5, 0.5, 0.5, float(drawn)],
+                contype=bit, conaffinity=0, priority=0, rgba=[0.5, 0.5, 0.5, float(visible)],
             )
         )  # fmt: skip
         spec.add_sensor(
@@ -47,40 +44,40 @@ def add_ground(spec: mujoco.MjSpec) -> mujoco.MjsGeom:
 
 
 def condim(friction: float) -> int:
-    """MuJoCo's number of contact dimensions: without friction only the normal one.
+    """Return MuJoCo's contact dimensionality: 3 with friction, 1 (normal force only) without.
 
-    With three, MuJoCo raises a coefficient of 0 to 1e-5, which moves a robot by millimetres in 30 s.
+    With `condim` 3, MuJoCo raises a friction of 0 to 1e-5, which moves a robot by millimetres in 30 s.
     """
     return 3 if friction > 0 else 1
 
 
 def loads_n(sensordata: Array) -> Array:
-    """Vertical load on feet and on skin from MuJoCo's sensor data, (..., sensors) to (..., 2), N."""
+    """Return the vertical loads on feet and skin, N, (..., 2), from MuJoCo's sensor data."""
     return sensordata[..., _SENSORS]
 
 
 def touching_geoms(model: mujoco.MjModel) -> NDArray[np.intp]:
-    """Indices of the geoms that can touch the ground: feet (spheres) and shells (ellipsoids)."""
+    """Return the indices of the geoms that can touch the ground: feet (spheres), shells (ellipsoids)."""
     return np.flatnonzero(model.geom_conaffinity)
 
 
 def half_axes_m(model: mujoco.MjModel) -> Array:
-    """Half axes of the `touching_geoms`, shape (G, 3), m."""
+    """Return the half axes of the `touching_geoms`, m, shape (G, 3)."""
     size = model.geom_size[touching_geoms(model)]
-    axes: Array = np.where(size > 0, size, size[:, :1])  # of a sphere only the first is given
+    axes: Array = np.where(size > 0, size, size[:, :1])  # MuJoCo stores only the first for a sphere
     return axes
 
 
 def clearances_m(positions_m: Any, matrices: Any, half_axes_m: Any) -> Array:
-    """How far the lowest points of ellipsoids are above the ground, m.
+    """Return the height of the lowest point of each ellipsoid above the ground.
 
     Args:
-        positions_m: of their centres, (..., 3).
-        matrices: their orientations, row by row, (..., 9).
-        half_axes_m: their half axes, (..., 3).
+        positions_m: centres, m, (..., 3).
+        matrices: rotation matrices in row-major order, (..., 9).
+        half_axes_m: half axes, m, (..., 3).
 
     Returns:
-        Heights, shape (...); negative inside the ground.
+        Heights, m, shape (...); negative below the ground.
     """
     reach = matrices[..., 6:] * half_axes_m
     lowest: Array = positions_m[..., 2] - np.sqrt((reach * reach).sum(axis=-1))

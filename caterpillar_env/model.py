@@ -1,8 +1,8 @@
-"""The robot as a MuJoCo model: a row of rigid elements, joints between them, springs along them.
+"""The robot as a MuJoCo model: a chain of rigid elements with joints, springs and feet.
 
-World axes: x forward, y to the left, z up. Segment 0 is the head. Each segment is a legged element and,
-behind it, a plain one, joined by a prismatic and a revolute joint; between segments there is a pitch
-hinge with a viscoelastic moment (Saunders 2009, section III and fig. 7).
+World axes are x forward, y left, z up. Segment 0 is the head. A segment consists of a legged element
+and a plain element behind it, connected by a prismatic and a revolute joint. Segments are connected by
+pitch hinges with a viscoelastic moment (Saunders 2009, section III and fig. 7).
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from caterpillar_env.sma import SmaSpring
 
 FOOT_RADIUS_M = 0.002
 ELEMENTS_PER_SEGMENT = 2
-#: Impedance of the joint stops, from first touch to full contact: nearly rigid.
+#: Impedance of the joint stops, at first contact and at full penetration: nearly rigid.
 _STOP_IMPEDANCE = (0.99, 0.999)
 _BEND_AXES = {"yaw": [0, 0, 1], "pitch": [0, 1, 0]}
 
 
 def joint_names(num_segments: int) -> list[str]:
-    """Internal joints from head to tail, in the order of MuJoCo's positions and velocities."""
+    """Return the names of the internal joints from head to tail, in the order of `qpos` and `qvel`."""
     names = []
     for segment in range(num_segments):
         names += [f"neck{segment - 1}"] if segment else []
@@ -39,87 +39,71 @@ def joint_names(num_segments: int) -> list[str]:
 
 
 def build_model(body: Body, physics: Physics, *, scenery: bool = True) -> mujoco.MjModel:
-    """Compile one robot on flat ground, its feet on the floor, straight along x, heading forwards.
+    """Compile a robot that stands straight along x on flat ground.
 
     Args:
-        body: one morphology, or one a segment. Unlike segments all stand on their feet when straight:
-            their axes are then at different heights, and a neck lies halfway between its neighbours'.
+        body: one morphology, or one per segment. All segments stand on their feet; where the heights of
+            their axes differ, the neck is halfway between.
         physics: material, numerics and number of segments.
-        scenery: whether it is to be drawn; cameras, light, ground, ruler and legs make up most of the
-            time that it takes to build, and of the size.
+        scenery: whether to add cameras, light, ground texture, ruler and legs for drawing. They take
+            most of the build time and of the model's memory.
 
     Returns:
         A model whose sizes depend on `physics.num_segments` alone. Bodies are `element0` (head) to
-        `element{2N-1}`; tendons and actuators carry `gait.spring_names`; control is xi in [0, 1].
+        `element{2N-1}`. Tendons and actuators are named by `gait.spring_names`. The control is the
+        austenite fraction, in [0, 1].
     """
     return ModelBuilder(physics, scenery=scenery).build(body)
 
 
 def model_xml(body: Body, physics: Physics) -> str:
-    """One robot as MJCF, with scenery, for programs that have MuJoCo and nothing of this package.
+    """Return a robot with scenery as MJCF, for use in MuJoCo without this package.
 
-    Every number is written with as many digits as it takes to read the same bits, so the XML compiles to
-    the arrays of `build_model`, up to the ruler's picture and to zeros in the springs' Jacobians (see
-    `trim_tendons`), which change no force.
-
-    Args:
-        body: one morphology, or one a segment.
-        physics: material, numerics and number of segments.
-
-    Returns:
-        The text of the XML. Control is the austenite fraction of the springs, in [0, 1].
+    Arguments are those of `build_model`. Numbers are written with full precision, so that the XML
+    compiles to the same model, apart from the ruler's picture and the zeros in the springs' Jacobians
+    that `trim_tendons` removes.
     """
     builder = ModelBuilder(physics)
     builder.build(body)
-    spec: Any = builder._spec
+    spec: Any = builder.spec
     remove_ruler_picture(spec)
-    # As described, not as compiled: only this is written with all digits.
-    spec.compiler.savecompiled = False
+    spec.compiler.savecompiled = False  # the compiled values would be written with fewer digits
     return str(spec.to_xml())
 
 
 class ModelBuilder:
-    """Compiles robots that differ in their bodies alone; arguments are those of `build_model`.
+    """Compiles robots with the same physics and different bodies; arguments as in `build_model`.
 
-    To describe a robot to MuJoCo takes longer than to compile it; so the description is kept, and only
-    what depends on the body is written into it anew.
+    Creating an `MjSpec` takes longer than compiling it. The builder therefore keeps the spec of the
+    first robot, and for further robots updates only the attributes that depend on the body.
     """
 
     def __init__(self, physics: Physics, *, scenery: bool = True) -> None:
         self._physics, self._scenery = physics, scenery
         self._segments: tuple[Morphology, ...] = ()
-        self._spec: mujoco.MjSpec | None = None
-        self._parts: list[Any] = []  # in the order of making
-        self._known: Iterator[Any] = iter(())
+        self.spec: mujoco.MjSpec | None = None  #: of the last robot
+        self._parts: list[Any] = []  # the robot's parts in the spec, in the order of creation
+        self._existing: Iterator[Any] = iter(())  # those not yet updated for the current body
 
     def build(self, body: Body) -> mujoco.MjModel:
-        """Compile one robot."""
+        """Compile a robot."""
         self._segments = segments_of(body, self._physics.num_segments)
-        self._known = iter(tuple(self._parts))
-        if self._spec is None:
-            self._spec = _new_spec(self._physics, scenery=self._scenery)
-            self._add_robot(self._spec)
-            _add_springs(self._spec, self._physics)
-        else:
-            self._add_robot(self._spec)
-        model = self._spec.compile()
+        self._existing = iter(tuple(self._parts))
+        if self.spec is None:
+            self.spec = _new_spec(self._physics, scenery=self._scenery)
+        self._add_robot(self.spec)
+        model = self.spec.compile()
         trim_tendons(model)
         return model
 
-    def _part(self, add: Callable[..., Any], fixed: dict[str, Any], **own: Any) -> Any:
-        """Add a part, or write what depends on the body into the one that was added before.
-
-        Args:
-            add: what adds it.
-            fixed: what is the same in all bodies.
-            **own: what depends on the body.
-        """
-        part = next(self._known, None)
+    def _part(self, add: Callable[..., Any], fixed: dict[str, Any], **variable: Any) -> Any:
+        """Add a part by calling `add`, or update the `variable` attributes of the existing one."""
+        part = next(self._existing, None)
         if part is None:
-            part = add(**fixed, **own)
+            part = add(**fixed, **variable)
             self._parts.append(part)
         else:
-            for name, value in own.items():
+            for name, value in variable.items():
                 setattr(part, name, value)
         return part
 
@@ -129,7 +113,7 @@ class ModelBuilder:
             segment, plain = divmod(index, ELEMENTS_PER_SEGMENT)
             m = self._segments[segment]
             if index == 0:
-                # The centre of mass stands 2R above the ground (Saunders 2009, eq. 3 with eq. 4).
+                # The centre of mass is 2R above the ground (Saunders 2009, eqs. 3 and 4).
                 position = [0.0, 0.0, 2 * m.segment_radius_m - STANCE_M]
             elif plain:
                 position = [-m.segment_length_m / 2, 0.0, 0.0]
@@ -152,14 +136,12 @@ class ModelBuilder:
 
     def _add_shell(self, body: mujoco.MjsBody, index: int, m: Morphology) -> None:
         shade = 1.0 if index % ELEMENTS_PER_SEGMENT == 0 else 0.8
-        colour = (
-            [0.95, 0.85, 0.3, 0.25] if index == 0 else [0.5 * shade, 0.8 * shade, 0.35 * shade, 0.25]
-        )
+        green = [0.5 * shade, 0.8 * shade, 0.35 * shade, 0.25]
         self._part(
             body.add_geom,
             {
-                "name": f"shell{index}", "type": mujoco.mjtGeom.mjGEOM_ELLIPSOID, "rgba": colour,
-                "conaffinity": SKIN,
+                "name": f"shell{index}", "type": mujoco.mjtGeom.mjGEOM_ELLIPSOID, "conaffinity": SKIN,
+                "rgba": [0.95, 0.85, 0.3, 0.25] if index == 0 else green,
             },
             size=[m.segment_length_m / 4, m.segment_radius_m, m.segment_radius_m],
             mass=m.segment_mass_kg / ELEMENTS_PER_SEGMENT,
@@ -169,7 +151,7 @@ class ModelBuilder:
         p, m = self._physics, self._segments[segment]
         middle = [m.segment_length_m / 4, 0, 0]
         travel = p.axial_range * m.segment_length_m
-        # The body is moulded so that the pre-tension of its cold springs just brings it to length L.
+        # At rest, the pre-tension of the cold springs compresses the segment to its length L.
         stretch = 0.0
         if segment < p.num_segments - 1:
             stretch = _pretension(m, self._segments[segment + 1], p.spring) / p.axial_stiffness_n_m
@@ -207,15 +189,15 @@ class ModelBuilder:
         )  # fmt: skip
 
     def _hinge_stiffness(self, ratio: float, limit_rad: float) -> list[float]:
-        """Coefficients of a hinge's moment in the powers of its angle, for `ratio` necks in parallel.
+        """Return the polynomial coefficients of a hinge's stiffness, for `ratio` necks in parallel.
 
-        k q (1 + s (q / limit)^2): silicone stiffens as it is bent towards its limit.
+        The moment is k q (1 + s (q / limit)^2), as silicone stiffens towards the limit.
         """
         linear = ratio * self._physics.neck_stiffness_n_m_rad
         return [linear, 0.0, linear * self._physics.neck_stiffening / limit_rad**2]
 
     def _add_feet(self, body: mujoco.MjsBody, segment: int, m: Morphology) -> None:
-        """Feet, and the legs between them and the body, which touch nothing and weigh nothing."""
+        """Add feet, and massless legs that are only drawn."""
         for side, sign in (("left", 1), ("right", -1)):
             lateral = sign * m.leg_separation_m / 2
             foot = [0, lateral, FOOT_RADIUS_M - 2 * m.segment_radius_m]
@@ -239,56 +221,52 @@ class ModelBuilder:
                 )  # fmt: skip
 
     def _add_anchors(self, body: mujoco.MjsBody, segment: int, m: Morphology) -> None:
-        """Where springs end: in front those to the segment behind, at the rear those to the one ahead.
+        """Add the attachments of the springs.
 
-        x is measured away from the neighbour that the spring pulls on.
+        Springs to the segment behind are attached at the front, those to the segment ahead at the rear.
         """
         ends = [("front", 1)] if segment < self._physics.num_segments - 1 else []
         ends += [("rear", -1)] if segment > 0 else []
         for side, sign in (("left", 1), ("right", -1)):
             for height, up in (("dorsal", 1), ("ventral", -1)):
-                for end, outboard in ends:
-                    self._part(
-                        body.add_site,
-                        {"name": f"anchor{segment}_{end}_{height}_{side}"},
-                        pos=[
-                            outboard * m.attachment_x_m,
-                            sign * m.attachment_z_m,
-                            up * m.attachment_y_m,
-                        ],
-                    )
+                for end, along in ends:
+                    name = f"anchor{segment}_{end}_{height}_{side}"
+                    position = [
+                        along * m.attachment_x_m, sign * m.attachment_z_m, up * m.attachment_y_m
+                    ]  # fmt: skip
+                    self._part(body.add_site, {"name": name}, pos=position)
 
 
 def trim_tendons(model: mujoco.MjModel) -> None:
-    """Keep of each spring's Jacobian only the joints between the two elements that it spans.
+    """Reduce each spring's Jacobian to the joints between the two elements that it connects.
 
-    MuJoCo gives a tendon a column for every joint from its ends up to the root, although those that
-    both ends share can only hold zeros. Newton's solver sorts all of them into its Hessian at each
-    iteration, which more than doubles the cost of a step.
+    MuJoCo stores a column for every joint from the ends of a tendon to the root, although the columns of
+    joints above both ends are always zero. Newton's solver processes all columns in each iteration,
+    which more than doubles the cost of a step.
     """
     ends = np.sort(model.site_bodyid[model.wrap_objid].reshape(-1, 2), axis=1)
-    inside = np.searchsorted(model.dof_bodyid, ends, side="right")  # first and last joint, exclusive
+    inside = np.searchsorted(model.dof_bodyid, ends, side="right")  # of the joints: start, stop
     for tendon, (first, last) in enumerate(inside.tolist()):
-        address = model.ten_J_rowadr[tendon]  # rows stay where they are, only shorter
+        address = model.ten_J_rowadr[tendon]  # rows keep their address and become shorter
         model.ten_J_colind[address : address + last - first] = range(first, last)
     model.ten_J_rownnz[:] = inside[:, 1] - inside[:, 0]
 
 
 def _neck_offset(ahead: Morphology, behind: Morphology) -> list[float]:
-    """From the last element of a segment to the first of the next, in a straight body on its feet."""
+    """Return the position of a segment's first element relative to the last of the segment ahead, m."""
     length = (ahead.segment_length_m + behind.segment_length_m) / 4
     return [-length, 0.0, 2 * behind.segment_radius_m - 2 * ahead.segment_radius_m]
 
 
 def _pretension(ahead: Morphology, behind: Morphology, spring: SmaSpring) -> float:
-    """Pull along the body of the four cold springs between two segments of a straight body, N.
+    """Return the force along a straight body of the four cold springs between two segments, N.
 
-    Springs are L + 2x long, and run along the body, where the segments are alike.
+    Between identical segments, springs have the length L + 2x and are parallel to the body.
     """
     along, _, up = _neck_offset(ahead, behind)
     spaced = ahead.segment_length_m / 2 - along + (ahead.attachment_x_m + behind.attachment_x_m)
     pull = 0.0
-    for height in (1, -1):  # dorsal, ventral; left and right are mirrored
+    for height in (1, -1):  # dorsal and ventral pair
         rise = up + height * (behind.attachment_y_m - ahead.attachment_y_m)
         length = math.hypot(spaced, rise, behind.attachment_z_m - ahead.attachment_z_m)
         tension = spring.martensite_stiffness_n_m * (length - spring.martensite_rest_length_m)
@@ -304,11 +282,12 @@ def _new_spec(p: Physics, *, scenery: bool) -> mujoco.MjSpec:
     ground = add_ground(spec)
     if scenery:
         add_scenery(spec, ground)
+    _add_springs(spec, p)
     return spec
 
 
 def _set_defaults(spec: mujoco.MjSpec, p: Physics) -> None:
-    """What most parts share: parts touch the ground and nothing else, joints end at stops."""
+    """Set the defaults of geoms, joints, tendons and actuators. Geoms collide with the ground only."""
     default = spec.default
     default.geom.contype, default.geom.conaffinity, default.geom.condim = 0, 0, condim(p.friction)
     default.geom.friction, default.geom.priority = [p.friction, 0, 0], 1
@@ -330,18 +309,13 @@ def _add_springs(spec: mujoco.MjSpec, p: Physics) -> None:
     s, strengths = p.spring, p.strengths()
     cold, hot = s.martensite_stiffness_n_m, s.austenite_stiffness_n_m
     for index, name in enumerate(spring_names(p.num_segments)):
-        gap = index // SPRINGS_PER_GAP
-        side = name.split("_", 1)[1]
+        gap, side = index // SPRINGS_PER_GAP, name.split("_", 1)[1]
         tendon = spec.add_tendon(name=name)
         tendon.wrap_site(f"anchor{gap}_front_{side}")
         tendon.wrap_site(f"anchor{gap + 1}_rear_{side}")
-        # The two-state spring is affine in length with xi as control: see sma.spring_force.
+        # The force is affine in the length and in the control xi, as in `sma.spring_force`.
         k = float(strengths[index])
-        spec.add_actuator(
-            name=name, target=name, forcerange=[-k * s.force_limit_n, 0],
-            biasprm=[k * cold * s.martensite_rest_length_m, -k * cold, 0] + [0] * 7,
-            gainprm=[
-                k * (hot * s.austenite_rest_length_m - cold * s.martensite_rest_length_m),
-                -k * (hot - cold), 0,
-            ] + [0] * 7,
-        )  # fmt: skip
+        actuator = spec.add_actuator(name=name, target=name, forcerange=[-k * s.force_limit_n, 0])
+        actuator.biasprm[:3] = [k * cold * s.martensite_rest_length_m, -k * cold, 0]
+        gain = k * (hot * s.austenite_rest_length_m - cold * s.martensite_rest_length_m)
+        actuator.gainprm[:3] = [gain, -k * (hot - cold), 0]

@@ -1,4 +1,4 @@
-"""The eight body parameters that are evolved (Saunders 2009, section III and fig. 8)."""
+"""Body parameters, their bounds and units (Saunders 2009, section III and fig. 8)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from caterpillar_env.errors import MorphologyError, from_mapping
 
 
 class Parameter(NamedTuple):
-    """One body parameter: a field of `Morphology`, the paper's symbol, and its closed interval."""
+    """A body parameter: field of `Morphology`, symbol in the paper, unit, bounds and nominal value."""
 
     name: str
     symbol: str
@@ -25,8 +25,8 @@ class Parameter(NamedTuple):
     description: str
 
 
-#: In the paper's order. The bounds stand for the paper's "manufacturability, cost and physical
-#: constraints", which it does not print; see docs/sources.md.
+#: The eight parameters in the paper's order. The paper does not publish its bounds; for the source of
+#: these, see docs/sources.md.
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter("leg_separation_m", "w", "m", 0.008, 0.024, 0.016, "lateral separation of the feet"),
     Parameter("segment_length_m", "L", "m", 0.022, 0.036, 0.030, "length of one segment"),
@@ -46,14 +46,14 @@ for _bound in (LOWER, UPPER):
 
 @dataclass(frozen=True)
 class Morphology:
-    """The eight parameters of a segment, and of a body whose segments are built alike.
+    """The eight parameters of a segment, or of a body of identical segments.
 
-    The paper's axes are x longitudinal, y vertical and z lateral. `attachment_x_m` is measured from
-    the centre of a legged element away from the neighbour that the spring pulls on, so that a spring
-    spans L + 2x when the body is straight.
+    As in the paper, x is longitudinal, y vertical and z lateral. `attachment_x_m` is measured from the
+    centre of a legged element, away from the neighbour that the spring is attached to. A spring
+    therefore has the length L + 2x in a straight body.
 
     Raises:
-        MorphologyError: a value is not a finite number within its bounds (`PARAMETERS`).
+        MorphologyError: a value is not a number within its bounds (see `PARAMETERS`).
     """
 
     leg_separation_m: float = PARAMETERS[0].nominal
@@ -72,18 +72,18 @@ class Morphology:
             number = float(value) if is_number else float("nan")
             if not p.lower <= number <= p.upper:
                 raise MorphologyError(
-                    f"{p.name} = {value!r} is not in [{p.lower:g}, {p.upper:g}] {p.unit} "
-                    f"({p.description}, {p.symbol} in the paper); choose a value in that interval"
+                    f"{p.name} = {value!r} must be in [{p.lower:g}, {p.upper:g}] {p.unit} "
+                    f"({p.description}, {p.symbol} in the paper)"
                 )
             object.__setattr__(self, p.name, number)
 
     @classmethod
     def of(cls, value: Morphology | Mapping[str, Any] | Sequence[float] | NDArray[Any]) -> Morphology:
-        """Return the morphology that `value` describes.
+        """Return `value` as a `Morphology`.
 
         Args:
-            value: a `Morphology`, a mapping of the parameters that differ from the nominal body (names
-                in `NAMES`, SI units), or all eight values in that order, shape (8,).
+            value: a `Morphology`; a mapping with any of the `NAMES`, where missing parameters are
+                nominal; or all eight values in the order of `NAMES`, SI units, shape (8,).
 
         Raises:
             MorphologyError: a name is unknown, the shape is wrong, or a value is out of bounds.
@@ -98,30 +98,30 @@ class Morphology:
             array = np.empty(0)
         if array.shape != (len(PARAMETERS),):
             raise MorphologyError(
-                f"a morphology is a mapping or {len(PARAMETERS)} numbers ({', '.join(NAMES)}); "
+                f"a morphology must be a mapping or {len(PARAMETERS)} numbers ({', '.join(NAMES)}); "
                 f"got {value!r}"
             )
         return cls(*array.tolist())
 
     @classmethod
     def from_unit(cls, unit: Array) -> Morphology:
-        """The morphology at `unit`, shape (8,), where 0 is the lower and 1 the upper bound."""
+        """Return the morphology of `unit`, shape (8,), where 0 and 1 are the bounds."""
         return cls(*np.clip(LOWER + unit * (UPPER - LOWER), LOWER, UPPER).tolist())
 
     def to_array(self) -> Array:
-        """The eight values in the order of `NAMES`, SI units, shape (8,)."""
+        """Return the values in the order of `NAMES`, SI units, shape (8,)."""
         return np.array([getattr(self, f.name) for f in fields(self)])
 
     def to_unit(self) -> Array:
-        """The eight values scaled to [0, 1] by their bounds, shape (8,)."""
+        """Return the values scaled to [0, 1] by their bounds, shape (8,)."""
         return (self.to_array() - LOWER) / (UPPER - LOWER)
 
     def to_dict(self) -> dict[str, float]:
-        """The eight values by name, SI units: plain JSON."""
+        """Return the values by name, SI units, for JSON."""
         return asdict(self)
 
 
-#: A robot's body: one morphology for all segments (the paper's), or one each, from head to tail.
+#: A robot's body: one morphology for all segments, as in the paper, or one per segment from the head.
 Body = Morphology | tuple[Morphology, ...]
 
 
@@ -140,7 +140,7 @@ def segments_of(body: Body, num_segments: int) -> tuple[Morphology, ...]:
         return (body,) * num_segments
     if len(body) != num_segments:
         raise MorphologyError(
-            f"a body of {num_segments} segments is one morphology for all of them, or a tuple of "
-            f"{num_segments}; got {len(body)}"
+            f"the body of a robot with {num_segments} segments must be one morphology for all of them "
+            f"or a tuple of {num_segments}; got {len(body)}"
         )
     return tuple(body)

@@ -1,4 +1,4 @@
-"""What a robot senses: an observation, entry by entry."""
+"""Contents and scaling of the observation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from caterpillar_env.morphology import NAMES
 from caterpillar_env.physics import Physics
 from caterpillar_env.pose import BodyState
 
-# Scales that bring observations to the order of one.
+# Typical magnitudes: entries of an observation are divided by them.
 _AXIAL_SCALE_M = 0.003
 _ANGLE_SCALE_RAD = 0.3
 _VELOCITY_SCALE_M_S = 0.02
@@ -23,11 +23,11 @@ _HEIGHT_SCALE_M = 0.024
 
 
 def observation_names(physics: Physics, *, clock: bool) -> list[str]:
-    """Name of each entry of an observation, in order.
+    """Return the name of each entry of an observation, in order.
 
     Args:
-        physics: gives the number of segments.
-        clock: whether the phase of the gait period is seen; at the end of whole periods it is constant.
+        physics: determines the number of segments.
+        clock: whether to include the phase within the gait period.
     """
     joints = joint_names(physics.num_segments)
     springs = spring_names(physics.num_segments)
@@ -49,7 +49,7 @@ def observation_names(physics: Physics, *, clock: bool) -> list[str]:
 
 @lru_cache
 def _joint_scales(num_segments: int) -> Array:
-    """What 1 stands for in positions and velocities of the internal joints, (2, J)."""
+    """Return the scales of the positions and velocities of the internal joints, (2, J)."""
     return np.array(
         [
             (_AXIAL_SCALE_M, _VELOCITY_SCALE_M_S)
@@ -67,18 +67,18 @@ def observe(
     morphology: Array,
     clock_period_s: float | None,
 ) -> NDArray[np.float32]:
-    """What robots sense, shape (R, len(observation_names)), float32; see the environment's table.
+    """Return the observations of R robots, float32, shape (R, len(observation_names)).
 
     Args:
-        physics: what they are made of.
-        state: where they are and how they move.
-        heading_rad: their heading relative to the start, (R,).
-        morphology: their bodies scaled to [-1, 1], (R, 8).
-        clock_period_s: gait period whose phase is seen, s; None leaves it out.
+        physics: physics of the robots.
+        state: positions, velocities and spring states.
+        heading_rad: heading relative to the start, (R,).
+        morphology: body parameters scaled to [-1, 1], (R, 8).
+        clock_period_s: gait period for the phase entries, s; None omits them.
     """
     spring = physics.spring
     position_scale, velocity_scale = _joint_scales(physics.num_segments)
-    # Horizontal vectors are seen in the frame of the body's own heading.
+    # Rotate vectors about the vertical into the frame of the current heading.
     heading = np.arctan2(state.forward[:, 1], state.forward[:, 0])[:, None]
     cosine, sine = np.cos(heading), np.sin(heading)
     vectors = np.concatenate([state.up, state.velocity], axis=1).reshape(-1, 3, 3)

@@ -1,22 +1,22 @@
-"""What the robot is made of and how it is simulated: all that is not evolved."""
+"""Parameters of the robot's material and of the simulation: everything that is not evolved."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import PhysicsError, TimingError, from_mapping
+from caterpillar_env.errors import PhysicsError, TimingError, check_choice, from_mapping
 from caterpillar_env.gait import SPRINGS_PER_GAP, count_steps
 from caterpillar_env.sma import SmaSpring
 
-#: Thermal step: the grid on which springs are heated and the fraction handed to the actuators.
+#: Thermal step: interval at which the springs' temperatures and the actuator controls are updated.
 SMA_STEP_S = 0.01
-#: Control interval: how often failures are judged and, in switch mode, the power may change.
+#: Control interval: how often failures are checked and, in switch mode, the power may change.
 CONTROL_INTERVAL_S = 0.1
 GRAVITY_M_S2 = 9.81
 
@@ -26,120 +26,108 @@ Cone = Literal["elliptic", "pyramidal"]
 BendAxis = Literal["yaw", "pitch"]
 
 _CHOICES = {"integrator": Integrator, "solver": Solver, "cone": Cone, "bend_axis": BendAxis}
-_WHOLE = {"num_segments": (2, 64), "mismatch_seed": (0, 2**63), "solver_iterations": (1, 10_000)}
-_POSITIVE = (
-    "timestep_s", "impratio", "contact_time_constant_s", "stop_time_constant_s", "axial_range"
-)  # fmt: skip
+_INTEGERS = {"num_segments": (2, 64), "mismatch_seed": (0, 2**63), "solver_iterations": (1, 10_000)}
+_POSITIVE = ("timestep_s", "impratio", "contact_time_constant_s", "stop_time_constant_s", "axial_range")
 
 
 @dataclass(frozen=True)
 class Physics:
-    """Everything about the robot and its simulation that is not evolved. SI units.
+    """Parameters of the robot's material and of the simulation, in SI units.
 
-    Sources, plausible ranges and what was tried: docs/physics.md and docs/sources.md.
+    For sources and plausible ranges, see docs/physics.md and docs/sources.md.
 
     Raises:
-        PhysicsError: a value is of the wrong kind or out of range.
+        PhysicsError: a value has the wrong type or is out of range.
     """
 
-    num_segments: int = 4  #: of the robot, from 2
+    num_segments: int = 4  #: number of segments, at least 2
     spring: SmaSpring = field(default_factory=SmaSpring)
-    neck_stiffness_n_m_rad: float = 6e-3  #: silicone neck, Dragon Skin 10
-    neck_stiffening: float = 5.0  #: at the joint limit its moment is 1 + this times the linear one
-    neck_damping_n_m_s_rad: float = 2e-4  #: silicone, coil friction, anchors: see docs/physics.md
+    neck_stiffness_n_m_rad: float = 6e-3  #: of a neck between two segments, silicone (Dragon Skin 10)
+    neck_stiffening: float = 5.0  #: at the joint limit the moment is (1 + this) times linear
+    neck_damping_n_m_s_rad: float = 2e-4  #: silicone, friction of coils and anchors
     axial_stiffness_n_m: float = 500.0  #: of the prismatic joint within a segment
-    axial_damping_n_s_m: float = 1.0  #: likewise
-    axial_range: float = 0.15  #: travel of the prismatic joint as a share of the segment length
-    bend_ratio: float = 2.0  #: stiffness and damping of the intra-segment hinge over the neck's
-    bend_axis: BendAxis = "yaw"  #: how a segment bends within; the paper does not say
-    friction: float = 0.8  #: of feet and elements on the ground
-    mismatch_std: float = 0.05  #: spread of the springs' strength from one to another
-    mismatch_seed: int = 0  #: which robot of that spread
-    spring_strengths: tuple[float, ...] | None = None  #: one a spring, instead of drawn ones
-    timestep_s: float = 0.0025  #: of the mechanics: 0.01 over a whole number
-    integrator: Integrator = "discrete"  #: MuJoCo's; rk4 needs 0.25 ms
-    solver: Solver = "newton"  #: MuJoCo's, of contacts
-    cone: Cone = "elliptic"  #: MuJoCo's, of friction
-    impratio: float = 100.0  #: MuJoCo's, for grip
-    contact_time_constant_s: float = 0.01  #: softness of the ground: see docs/physics.md
-    stop_time_constant_s: float = 0.005  #: softness of the joint stops: two timesteps
+    axial_damping_n_s_m: float = 1.0  #: of the same joint
+    axial_range: float = 0.15  #: travel of that joint either way, as a share of the segment length
+    bend_ratio: float = 2.0  #: stiffness and damping of the intra-segment hinge, relative to a neck
+    bend_axis: BendAxis = "yaw"  #: axis of the intra-segment hinge; not given in the paper
+    friction: float = 0.8  #: coefficient of feet and elements on the ground
+    mismatch_std: float = 0.05  #: standard deviation of the springs' strengths, relative
+    mismatch_seed: int = 0  #: seed of the strengths
+    spring_strengths: tuple[float, ...] | None = None  #: of each spring; random if None
+    timestep_s: float = 0.0025  #: physics timestep; must divide 0.01
+    integrator: Integrator = "discrete"  #: MuJoCo's; use rk4 with 0.25 ms
+    solver: Solver = "newton"  #: MuJoCo's constraint solver
+    cone: Cone = "elliptic"  #: MuJoCo's friction cone
+    impratio: float = 100.0  #: MuJoCo's; large values reduce slip
+    contact_time_constant_s: float = 0.01  #: softness of the ground
+    stop_time_constant_s: float = 0.005  #: softness of the joint stops; two timesteps
     solver_tolerance: float = 1e-8  #: MuJoCo's
-    solver_iterations: int = 100  #: MuJoCo's, at most
+    solver_iterations: int = 100  #: MuJoCo's maximum
 
     def __post_init__(self) -> None:
-        if isinstance(self.spring, Mapping):
-            object.__setattr__(
-                self, "spring", from_mapping(SmaSpring, self.spring, "spring", PhysicsError)
-            )
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if expected := self._expected(f.name, value):
-                raise PhysicsError(f"{f.name} = {value!r} must be {expected}")
-            if f.name in _WHOLE:
-                object.__setattr__(self, f.name, int(value))
+        if not isinstance(self.spring, SmaSpring):
+            spring = from_mapping(SmaSpring, self.spring, "spring", PhysicsError)
+            object.__setattr__(self, "spring", spring)
+        for name, (lower, upper) in _INTEGERS.items():
+            value = getattr(self, name)
+            if not isinstance(value, (int, np.integer)) or not lower <= int(value) <= upper:
+                raise PhysicsError(f"{name} = {value!r} must be an integer from {lower} to {upper}")
+            object.__setattr__(self, name, int(value))
+        for name, choices in _CHOICES.items():
+            check_choice(name, getattr(self, name), choices, PhysicsError)
+        for name in (f.name for f in fields(self) if isinstance(f.default, float)):
+            value, sign = getattr(self, name), "positive" if name in _POSITIVE else "non-negative"
+            is_number = isinstance(value, (int, float)) and 0 <= value < math.inf
+            if not is_number or (value == 0 and name in _POSITIVE):
+                raise PhysicsError(f"{name} = {value!r} must be a finite, {sign} number")
         if self.spring_strengths is not None:
-            object.__setattr__(self, "spring_strengths", tuple(map(float, self.spring_strengths)))
+            object.__setattr__(self, "spring_strengths", self._check_strengths(self.spring_strengths))
         try:
             count_steps(SMA_STEP_S, self.timestep_s, "the thermal step")
         except TimingError:
             raise PhysicsError(
-                f"timestep_s = {self.timestep_s:g} must go a whole number of times into the thermal "
-                f"step of {SMA_STEP_S:g} s: choose 0.01, 0.005, 0.0025 or 0.001, say"
+                f"timestep_s = {self.timestep_s:g} must divide the thermal step of {SMA_STEP_S:g} s; "
+                "choose for example 0.01, 0.005, 0.0025 or 0.001"
             ) from None
 
-    def _expected(self, name: str, value: Any) -> str:
-        """What a field must be, where it is not."""
-        if name == "spring":
-            fits, expected = isinstance(value, SmaSpring), "an SmaSpring or a mapping of its fields"
-        elif name in _CHOICES:
-            known = get_args(_CHOICES[name])
-            fits, expected = value in known, f"one of {', '.join(known)}"
-        elif name in _WHOLE:
-            lower, upper = _WHOLE[name]
-            fits = isinstance(value, (int, np.integer)) and lower <= int(value) <= upper
-            expected = f"a whole number from {lower} to {upper}"
-        elif name == "spring_strengths":
-            fits = value is None or (
-                isinstance(value, (tuple, list))
-                and len(value) == self.num_springs
-                and all(isinstance(s, (int, float)) and 0 < s < math.inf for s in value)
+    def _check_strengths(self, value: Any) -> tuple[float, ...]:
+        """Return spring strengths as a tuple, or raise `PhysicsError`."""
+        is_valid = (
+            isinstance(value, (tuple, list))
+            and len(value) == self.num_springs
+            and all(isinstance(s, (int, float)) and 0 < s < math.inf for s in value)
+        )
+        if not is_valid:
+            raise PhysicsError(
+                f"spring_strengths = {value!r} must be {self.num_springs} positive numbers"
             )
-            expected = f"{self.num_springs} positive numbers, one a spring"
-        else:
-            fits = isinstance(value, (int, float)) and 0 <= value < math.inf
-            expected = "a finite number, not negative"
-            if name in _POSITIVE:
-                fits, expected = fits and value > 0, "a finite, positive number"
-        return "" if fits else expected
+        return tuple(map(float, value))
 
     @property
     def num_springs(self) -> int:
-        """Number of SMA springs: four to a gap between neighbouring legged elements."""
+        """Number of springs: four between each pair of neighbouring legged elements."""
         return SPRINGS_PER_GAP * (self.num_segments - 1)
 
     @classmethod
     def of(cls, value: Physics | Mapping[str, Any] | None) -> Physics:
-        """Physics from itself, from a (partial) mapping of its fields, or the default for None.
+        """Return `value` as `Physics`; fields that a mapping leaves out keep their defaults.
 
         Raises:
-            PhysicsError: an unknown field or an unusable value.
+            PhysicsError: a field is unknown or its value is invalid.
         """
-        return (
-            value
-            if isinstance(value, Physics)
-            else from_mapping(cls, value or {}, "physics", PhysicsError)
-        )
+        if isinstance(value, Physics):
+            return value
+        return from_mapping(cls, value or {}, "physics", PhysicsError)
 
     def to_dict(self) -> dict[str, Any]:
-        """All fields by name, the spring's nested: plain JSON."""
+        """Return all fields by name, those of the spring nested, for JSON."""
         return asdict(self)
 
     def strengths(self) -> Array:
-        """Factor on each spring's force, shape (num_springs,): the robot's actuator mismatch.
+        """Return the factor on each spring's force, shape (num_springs,): the actuator mismatch.
 
-        `spring_strengths` where given, else normal about 1 with `mismatch_std`, drawn from
-        `mismatch_seed`; never below a tenth. Mirrored gaits of a perfect robot would never turn, and the
-        paper's yaw criterion would be inert.
+        Without `spring_strengths` the factors are normal, with mean 1 and `mismatch_std`. A perfectly
+        symmetric robot with a mirrored gait would never turn, and the paper's yaw criterion never apply.
         """
         if self.spring_strengths is not None:
             return np.array(self.spring_strengths)
@@ -148,5 +136,5 @@ class Physics:
 
 
 def mismatched(std: float, normal: Array) -> Array:
-    """Strengths about 1 from standard normal draws, never below a tenth."""
+    """Return strengths 1 + std * normal, but at least 0.1, from standard normal samples."""
     return np.maximum(1.0 + std * normal, 0.1)

@@ -1,7 +1,7 @@
-"""Domain randomisation: what may differ from one robot, or one day, to the next.
+"""Domain randomization: sample friction, mismatch, mass and air temperature at each reset.
 
-`Conditions` are what one robot meets with, `Randomization` says what they are drawn from, and `varied`
-writes them into a compiled model.
+`Randomization` holds the ranges, `Conditions` one sample, and `apply_conditions` returns a model with
+those conditions.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ Range = tuple[float, float]
 
 
 class Conditions(NamedTuple):
-    """What one robot meets with."""
+    """Conditions of one episode."""
 
-    friction: float  #: of its feet and elements on the ground
+    friction: float  #: coefficient of feet and elements on the ground
     strengths: tuple[float, ...]  #: factor on each spring's force
     mass: float  #: factor on the mass of the body
-    ambient_c: float  #: temperature of the air, degC
+    ambient_c: float  #: air temperature, degC
 
 
 @dataclass(frozen=True)
 class Randomization:
-    """What conditions are drawn from at each reset, uniformly between two bounds; None: as in `Physics`.
+    """Ranges of the conditions, sampled uniformly at each reset; None keeps the value of `Physics`.
 
     Raises:
-        PhysicsError: bounds are no two numbers in order, or out of range.
+        PhysicsError: a range is not two numbers in increasing order, or is out of bounds.
     """
 
-    friction: Range | None = None  #: of feet and elements on the ground
-    mismatch_std: Range | None = None  #: spread of the springs' strengths, which are drawn anew with it
+    friction: Range | None = None  #: coefficient of feet and elements on the ground
+    mismatch_std: Range | None = None  #: standard deviation from which new spring strengths are sampled
     spring_force: Range | None = None  #: factor on the force of all springs
     mass: Range | None = None  #: factor on the mass of the body
-    ambient_c: Range | None = None  #: temperature of the air, degC
+    ambient_c: Range | None = None  #: air temperature, degC
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -55,69 +55,69 @@ class Randomization:
                 low, high = map(float, value)
             except (TypeError, ValueError):
                 low, high = math.nan, math.nan
-            least, open_ = _LEAST[f.name]
-            if not (low <= high < math.inf and (low > least if open_ else low >= least)):
+            minimum, exclusive = _MINIMUM[f.name]
+            if not (low <= high < math.inf and (low > minimum if exclusive else low >= minimum)):
                 raise PhysicsError(
-                    f"randomization of {f.name} must be two numbers, the lesser first, each "
-                    f"{'above' if open_ else 'not below'} {least:g}; got {value!r}"
+                    f"randomization of {f.name} must be two numbers in increasing order, "
+                    f"{'above' if exclusive else 'at least'} {minimum:g}; got {value!r}"
                 )
             object.__setattr__(self, f.name, (low, high))
 
     @classmethod
     def of(cls, value: Randomization | Mapping[str, Any] | None) -> Randomization | None:
-        """Randomisation from itself or a mapping of its fields; None where nothing is to be drawn.
+        """Return `value` as a `Randomization`, or None if it randomizes nothing.
 
         Raises:
-            PhysicsError: an unknown field or an unusable value.
+            PhysicsError: a field is unknown or its value is invalid.
         """
         if not isinstance(value, Randomization):
             value = from_mapping(cls, {} if value is None else value, "randomization", PhysicsError)
         return None if value == cls() else value
 
     def check(self, physics: Physics) -> None:
-        """See that the air cannot be warmer than springs that are to cool down.
+        """Check that springs can cool down at every air temperature of the range.
 
         Raises:
-            PhysicsError: it can.
+            PhysicsError: `ambient_c` reaches the temperature at which springs finish cooling.
         """
         finish_c = physics.spring.martensite_finish_c
         if self.ambient_c is not None and self.ambient_c[1] >= finish_c:
             raise PhysicsError(
-                f"randomization of ambient_c must end below {finish_c:g} degC, where springs finish "
-                f"cooling; got {self.ambient_c}"
+                f"randomization of ambient_c must end below {finish_c:g} degC (Mf), so that springs "
+                f"can cool down; got {self.ambient_c}"
             )
 
     def draw(self, physics: Physics, rng: np.random.Generator) -> Conditions:
-        """Conditions for one episode; the number of draws does not depend on what is randomised."""
+        """Sample the conditions of one episode. Every sample takes the same number of random draws."""
         share = rng.uniform(size=len(fields(self)))
         normal = rng.standard_normal(physics.num_springs)
 
-        def value(name: str, place: int, default: float) -> float:
+        def sample(name: str, index: int, default: float) -> float:
             bounds: Range | None = getattr(self, name)
             if bounds is None:
                 return default
-            return float(bounds[0] + share[place] * (bounds[1] - bounds[0]))
+            return float(bounds[0] + share[index] * (bounds[1] - bounds[0]))
 
         strengths = physics.strengths()
         if self.mismatch_std is not None:
-            strengths = mismatched(value("mismatch_std", 1, 0.0), normal)
+            strengths = mismatched(sample("mismatch_std", 1, 0.0), normal)
         return Conditions(
-            friction=value("friction", 0, physics.friction),
-            strengths=tuple((value("spring_force", 2, 1.0) * strengths).tolist()),
-            mass=value("mass", 3, 1.0),
-            ambient_c=value("ambient_c", 4, physics.spring.ambient_c),
+            friction=sample("friction", 0, physics.friction),
+            strengths=tuple((sample("spring_force", 2, 1.0) * strengths).tolist()),
+            mass=sample("mass", 3, 1.0),
+            ambient_c=sample("ambient_c", 4, physics.spring.ambient_c),
         )
 
 
-#: Least value, and whether it is excluded itself.
-_LEAST = {
+#: Minimum of each range, and whether the minimum itself is excluded.
+_MINIMUM = {
     "friction": (0.0, False), "mismatch_std": (0.0, False), "spring_force": (0.0, True),
     "mass": (0.0, True), "ambient_c": (-273.15, False),
 }  # fmt: skip
 
 
 def apply_conditions(model: mujoco.MjModel, physics: Physics, conditions: Conditions) -> mujoco.MjModel:
-    """A copy of a robot of `physics`, as it is under `conditions`; the air is the springs' affair."""
+    """Return a copy of `model` under `conditions`. `ambient_c` affects the springs, not the model."""
     changed = copy.copy(model)
     changed.geom_friction[:, 0] = conditions.friction
     changed.geom_condim[:] = condim(conditions.friction)

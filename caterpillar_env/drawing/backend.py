@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 
-#: How to make most machines draw.
+#: Installation advice for machines without an off-screen OpenGL backend.
 INSTALL_DRAWING = "install EGL (Debian: apt install libegl1 libgl1-mesa-dri) or OSMesa (libosmesa6)"
 
 
@@ -21,8 +21,8 @@ def has_display() -> bool:
 def choose_backend() -> str:
     """Return the name of the backend to draw with: "glfw", "egl", "osmesa" or "disabled".
 
-    MUJOCO_GL decides where it is set. Otherwise it is GLFW with a display, and without one EGL, or
-    OSMesa where EGL does not work.
+    The environment variable MUJOCO_GL takes precedence. The default is GLFW with a display; without one
+    it is EGL if it works, else OSMesa.
     """
     given = os.environ.get("MUJOCO_GL", "").lower().strip()
     if given or has_display():
@@ -42,7 +42,10 @@ def _has_library(name: str) -> bool:
 
 
 def _egl_works() -> bool:
-    """Return whether EGL finds a driver. After a failure this process could not change to OSMesa."""
+    """Return whether EGL finds a driver.
+
+    This runs in a subprocess, because a process in which EGL has failed cannot switch to OSMesa.
+    """
     code = "from mujoco.egl import GLContext; GLContext(1, 1)"
     environment = {**os.environ, "MUJOCO_GL": "egl"}
     return not subprocess.run(

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from caterpillar_env.arrays import Array
 from caterpillar_env.sma import SmaSpring
 
-CONTACT_RGB = (1.0, 0.55, 0.05)  #: feet that touch the ground, and spots where the robot does
+CONTACT_RGB = (1.0, 0.55, 0.05)  #: feet and spots in contact with the ground
 PATH_RGB = (0.55, 0.15, 0.60)
 
 _COLD = np.array([0.10, 0.35, 0.95])
@@ -25,7 +25,7 @@ class Readout(NamedTuple):
     """Numbers and text written on a picture."""
 
     time_s: float  #: simulated
-    distance_m: float  #: of the centre of mass along the starting heading
+    distance_m: float  #: of the centre of mass, along the initial heading
     energy_j: float  #: electrical
     failure: str = "ok"  #: name of the failure
     title: str = ""
@@ -43,14 +43,14 @@ def spring_rgb(spring: SmaSpring, temperature_c: Array) -> Array:
 
 
 def annotate(frame: NDArray[np.uint8], readout: Readout, spring: SmaSpring) -> NDArray[np.uint8]:
-    """Return a picture (height, width, 3) with a readout at the upper left, a legend at the right."""
+    """Return `frame` (height, width, 3) with the readout at the upper left and a legend at the right."""
     image = Image.fromarray(frame)
     draw = ImageDraw.Draw(image, "RGBA")
     size = max(11, min(image.height // 22, image.width // 30))
     font, pad = _font(size), size // 2
     room = image.width - 5 * pad
     legend = _legend(spring, max(10, round(0.8 * size)))
-    if legend.width < 0.6 * image.width:  # small pictures have no room for it
+    if legend.width < 0.6 * image.width:  # omit it in small pictures
         image.paste(legend, (image.width - legend.width - pad, pad), legend)
         room -= legend.width
     numbers = (
@@ -77,7 +77,7 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 @lru_cache(maxsize=32)
 def _legend(spring: SmaSpring, size: int) -> Image.Image:
-    """Draw the scale of temperatures and the meaning of spot and line, in letters of `size` pixels."""
+    """Draw the legend: temperature scale, contact spot and path, with a font of `size` pixels."""
     image = Image.new("RGBA", (17 * size, round(5.3 * size)))
     draw = ImageDraw.Draw(image)
     right, bottom = image.width - 1, image.height - 1

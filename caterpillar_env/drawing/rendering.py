@@ -1,4 +1,4 @@
-"""Draw robots: springs coloured by temperature, feet on the ground marked, a ruler beside them."""
+"""Draw robots, with springs coloured by temperature, contact marks and a ruler."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from caterpillar_env.task import Crawl, label
 
 Point = tuple[float, float, float]
 
-#: Why this machine cannot draw, once that is known: trying a broken backend again may crash Python.
+#: Reason why drawing failed before, or None. Retrying a broken backend can crash the interpreter.
 unavailable: str | None = None
 
 _CONTACT_RGBA = np.array([*CONTACT_RGB, 0.85])
@@ -41,7 +41,7 @@ _PATH_STEP_M = 0.002
 
 
 class RenderingError(CaterpillarError):
-    """This machine cannot draw, or a picture cannot have the requested size or camera."""
+    """No OpenGL backend works on this machine, or the requested size or camera is invalid."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class View:
         for name in ("width", "height"):
             value = getattr(self, name)
             if not isinstance(value, (int, np.integer)) or not 1 <= value <= 8192:
-                raise RenderingError(f"{name} must be a number of pixels from 1 to 8192; got {value!r}")
+                raise RenderingError(f"{name} must be an integer from 1 to 8192 (pixels); got {value!r}")
         if self.camera_name is not None and self.camera_name not in CAMERAS:
             raise RenderingError(
                 f"camera_name must be None or one of {', '.join(CAMERAS)}; got {self.camera_name!r}"
@@ -69,13 +69,13 @@ class View:
 
 
 class RobotRenderer:
-    """Draws one robot. Make a new renderer for another body.
+    """Draws a robot with a fixed body.
 
     Args:
         body: the robot's body.
         physics: its physics.
         view: size and camera.
-        view_length_m: length of the body that the cameras leave room for; that of `body` by default.
+        view_length_m: body length that fits in the picture; the length of `body` by default.
     """
 
     def __init__(
@@ -108,14 +108,14 @@ class RobotRenderer:
         self._parts, self._half_axes = touching_geoms(model), half_axes_m(model)
         self._foot_rgba = model.geom_rgba[self._feet].copy()
         self._ruler = model.geom(RULER).id
-        # The ruler's zero is where the centre of mass starts, so that the ruler shows the distance.
+        # The ruler shows the distance: its zero is at the initial centre of mass.
         model.geom_pos[self._ruler, 0] += self.centre_of_mass(model.qpos0)[0]
-        self.path: list[Array] = []  #: of the centre of mass, m, points of shape (3,)
+        self.path: list[Array] = []  #: positions of the centre of mass, m, (3,) each
         self._canvas: mujoco.Renderer | None = None
         self._window: Any = None
 
     def centre_of_mass(self, qpos: Array) -> Array:
-        """Return the centre of mass of the robot in pose `qpos` (nq,): x, y and z in m, (3,)."""
+        """Return the centre of mass in pose `qpos` (nq,), m, (3,)."""
         self._data.qpos[:] = qpos
         mujoco.mj_forward(self.model, self._data)
         centre: Array = self._data.subtree_com[1].copy()
@@ -128,20 +128,20 @@ class RobotRenderer:
 
         Args:
             qpos: MuJoCo generalised positions, (nq,).
-            temperature_c: of the springs, (springs,).
+            temperature_c: temperatures of the springs, degC, (springs,).
             mode: "rgb_array", "depth_array" or "human".
-            readout: written on a colour picture, with a legend and the path of the centre of mass
-                through all poses drawn with a readout since `path` was last cleared.
+            readout: values to write on a colour picture. The picture then also shows a legend and the
+                path of the centre of mass over all such pictures since `path` was cleared.
 
         Returns:
-            (height, width, 3) uint8; in depth mode (height, width) float32, m along the view; None for
-            a window.
+            A picture (height, width, 3), uint8; in depth mode distances (height, width), m, float32;
+            None in human mode.
 
         Raises:
-            RenderingError: this machine cannot draw.
+            RenderingError: drawing is not possible on this machine.
         """
         centre = self.centre_of_mass(qpos)
-        self._data.geom_xpos[self._ruler, 1] += centre[1]  # keep the ruler beside a robot that veers
+        self._data.geom_xpos[self._ruler, 1] += centre[1]  # keep the ruler beside the robot
         above_m = clearances_m(
             self._data.geom_xpos[self._parts], self._data.geom_xmat[self._parts], self._half_axes
         )
@@ -186,14 +186,14 @@ class RobotRenderer:
         if unavailable is None and self._canvas is None:
             try:
                 if backend == "disabled":
-                    raise OSError("MUJOCO_GL says so, or neither EGL nor OSMesa is installed")
-                # MuJoCo chose a context class when it was imported: by MUJOCO_GL, or that of GLFW.
+                    raise OSError("MUJOCO_GL disables it, or neither EGL nor OSMesa is installed")
+                # MuJoCo selects the context class at import; replace it by the chosen backend.
                 if backend in ("egl", "osmesa"):
                     gl_context.GLContext = import_module(f"mujoco.{backend}").GLContext
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # GLFW warns before it fails
                     self._canvas = mujoco.Renderer(self.model, self._view.height, self._view.width)
-            except Exception as error:  # of any type, depending on the backend
+            except Exception as error:  # the type depends on the backend
                 unavailable = f"{backend}: {_first_line(error)}"
         if self._canvas is None:
             fix = INSTALL_DRAWING
@@ -223,12 +223,12 @@ class RobotRenderer:
 
 
 class Pictures:
-    """Pictures of the rows of a `Crawl`, each drawn by a renderer made when it is first needed.
+    """Pictures of the robots of a `Crawl`, with one renderer per row, created on demand.
 
     Args:
         crawl: the robots.
         view: size and camera.
-        overlay: whether to write time, distance and energy on colour pictures, and draw the path.
+        overlay: whether colour pictures show time, distance, energy and path.
     """
 
     def __init__(self, crawl: Crawl, view: View, *, overlay: bool) -> None:
@@ -236,7 +236,7 @@ class Pictures:
         self._renderers: dict[int, RobotRenderer] = {}
 
     def renderer(self, row: int) -> RobotRenderer:
-        """Return the renderer of a row, for the body that it has now."""
+        """Return the renderer for the current body of a row."""
         simulation = self._crawl.simulation
         renderer, body = self._renderers.get(row), simulation.bodies[row]
         if renderer is not None and renderer.body != body:
@@ -247,9 +247,9 @@ class Pictures:
         return renderer
 
     def draw(self, row: int, mode: str) -> NDArray[Any] | None:
-        """Draw a row as it is now, as `RobotRenderer.draw` does.
+        """Draw the current state of a row; see `RobotRenderer.draw`.
 
-        A machine that cannot draw gives one warning, and None for every picture.
+        If drawing is not possible on this machine, warn once and return None.
         """
         simulation, rows = self._crawl.simulation, np.array([row])
         now = self._crawl.progress(rows)
@@ -264,7 +264,7 @@ class Pictures:
             return None
 
     def restart(self, row: int) -> None:
-        """Clear the path of a row whose episode begins."""
+        """Clear the path of a row at the start of an episode."""
         if row in self._renderers:
             self._renderers[row].path.clear()
 
@@ -277,7 +277,7 @@ class Pictures:
 
 @cache
 def warn_once(text: str) -> None:
-    """Give a warning when called with this text for the first time."""
+    """Log a warning, but only once per text."""
     gymnasium.logger.warn(text)
 
 

@@ -1,4 +1,4 @@
-"""Light, ground texture, ruler and cameras of pictures. They do not change the motion."""
+"""Light, ground texture, ruler and cameras for drawing. They do not affect the physics."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import mujoco
 
 from caterpillar_env.morphology import Morphology, length_m
 
-#: Cameras. All follow the robot: obliquely, from its side, from above.
+#: Cameras that follow the robot: obliquely, from the side, from above.
 Camera = Literal["track", "side", "top"]
 CAMERAS: tuple[Camera, ...] = get_args(Camera)
 RULER = "ruler"
@@ -30,7 +30,7 @@ _VIEWS: dict[Camera, tuple[list[float], list[float]]] = {
 
 
 def add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
-    """Add light, sky, squares of 2 cm on the ground, and a ruler along x."""
+    """Add light, sky, a ground texture with squares of 2 cm, and a ruler along x."""
     spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
     spec.visual.headlight.diffuse = [0.25, 0.25, 0.25]
     spec.visual.map.znear = 0.02
@@ -48,7 +48,7 @@ def add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
         name="squares", type=mujoco.mjtTexture.mjTEXTURE_2D, width=128, height=128,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER, rgb1=[0.70, 0.73, 0.72], rgb2=[0.76, 0.79, 0.78],
     )  # fmt: skip
-    # On an infinite plane the squares are twice as large as `texrepeat` says.
+    # On an infinite plane the squares are twice as large as `texrepeat` specifies.
     _add_material(spec, "squares", specular=0.0, texuniform=True, texrepeat=[50, 50])
     ground.material = "squares"
     spec.worldbody.add_light(
@@ -59,7 +59,7 @@ def add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
 
 
 def add_cameras(head: mujoco.MjsBody, segments: Sequence[Morphology], make: Callable[..., Any]) -> None:
-    """Add the `CAMERAS`, far enough away to have all of the body in view."""
+    """Add the `CAMERAS` by calling `make`, at distances that keep the whole body in view."""
     long_m = length_m(segments)
     middle_m = segments[0].segment_length_m / 4 - long_m / 2
     for name, ((x, y, z), axes) in _VIEWS.items():
@@ -74,7 +74,7 @@ def add_cameras(head: mujoco.MjsBody, segments: Sequence[Morphology], make: Call
 
 
 def remove_ruler_picture(spec: mujoco.MjSpec) -> None:
-    """Give the ruler squares of 1 cm instead of its picture, which MJCF cannot hold."""
+    """Replace the ruler's picture by squares of 1 cm, since MJCF cannot store the picture."""
     first, last = _RULER_CM
     texture = spec.texture(RULER)
     texture.data, texture.width, texture.height = b"", 64, 64
@@ -89,7 +89,7 @@ def _add_material(spec: mujoco.MjSpec, texture: str, **kwargs: Any) -> None:
 
 
 def _add_ruler(spec: mujoco.MjSpec) -> None:
-    """Add the ruler; a renderer moves its zero to where the centre of mass starts."""
+    """Add the ruler. The renderer moves its zero to the initial centre of mass."""
     first, last = _RULER_CM
     width, height, pixels = _ruler_picture()
     texture = spec.add_texture(
@@ -106,7 +106,7 @@ def _add_ruler(spec: mujoco.MjSpec) -> None:
 
 @lru_cache(maxsize=1)
 def _ruler_picture() -> tuple[int, int, bytes]:
-    """Return width, height and RGB bytes of the ruler: ticks every centimetre, numbers every fifth."""
+    """Return width, height and RGB bytes of the ruler, with ticks every 1 cm and labels every 5 cm."""
     from PIL import Image, ImageDraw, ImageFont  # not needed without scenery
 
     first, last = _RULER_CM

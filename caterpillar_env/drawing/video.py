@@ -1,4 +1,4 @@
-"""Videos of robots crawling: one, or several side by side that keep time together."""
+"""Videos of one robot, or of several side by side at the same simulated time."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ Frame = NDArray[np.uint8]
 _SINGLE_PX, _TILE_PX = (640, 480), (480, 360)
 _MIN_TILE_PX = 64
 _GAP_PX = 2  # between tiles
-_USABLE_M = 100.0  # poses with greater values cannot be drawn
-_HOLD_S = 1.0  # how long the last picture stays
-# GIF: one palette for the whole video; ordered dithering compresses well.
+_USABLE_M = 100.0  # limit of the coordinates of a drawable pose
+_HOLD_S = 1.0  # duration of the still at the end
+# GIF: one palette for the whole video, and ordered dithering, which compresses well.
 _PALETTE = (
     "split[a][b];[a]palettegen=max_colors=128:stats_mode=full[p];"
     "[b][p]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
 )
 _FILTERS = {".mp4": [], ".gif": ["-filter_complex", _PALETTE]}
-#: Arguments of `imageio_ffmpeg.write_frames`. GIF counts in hundredths of a second.
+#: Arguments of `imageio_ffmpeg.write_frames`. GIF frames last whole hundredths of a second.
 _ENCODING: dict[str, dict[str, Any]] = {
     ".mp4": {"fps": 25.0, "quality": 7},
     ".gif": {"fps": 12.5, "quality": None, "codec": "gif", "pix_fmt_out": "pal8"},
@@ -46,7 +46,7 @@ _ENCODING: dict[str, dict[str, Any]] = {
 
 
 class VideoError(CaterpillarError):
-    """A video cannot be made with these settings, or its file cannot be written."""
+    """The settings of a video are invalid, or its file cannot be written."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,9 @@ class VideoConfig:
     speed: float = 2.0
     """Simulated seconds per second of video."""
     width: int | None = None
-    """Width of the whole picture, pixels, even; by default 640, or 480 for each of several columns."""
+    """Picture width, pixels, even; by default 640, or 480 per column with several robots."""
     height: int | None = None
-    """Height of the whole picture, pixels, even; by default 480, or 360 for each of several rows."""
+    """Picture height, pixels, even; by default 480, or 360 per row with several robots."""
     camera: Camera = "track"
     """Camera; all cameras follow the robot."""
 
@@ -79,7 +79,7 @@ class VideoConfig:
                 )
 
     def layout(self, count: int) -> tuple[int, int, int, int]:
-        """Return width and height of the whole picture, and columns and rows of `count` tiles.
+        """Return the picture's width and height, and the number of columns and rows for `count` tiles.
 
         Raises:
             VideoError: the tiles would be too small.
@@ -90,19 +90,19 @@ class VideoConfig:
         width, height = self.width or width, self.height or height
         if min(width // columns, height // rows) < _MIN_TILE_PX:
             raise VideoError(
-                f"{count} robots in {width} x {height} pixels would be less than {_MIN_TILE_PX} "
-                "wide or high; choose a larger width and height"
+                f"{count} robots in {width} x {height} pixels would have tiles smaller than "
+                f"{_MIN_TILE_PX} pixels; choose a larger width and height"
             )
         return width, height, columns, rows
 
 
 class Recording:
-    """The crawl of one robot, simulated once, to be drawn any number of times.
+    """The simulated motion of a robot, to be drawn any number of times.
 
     Args:
-        robot: of any kind.
-        title: written on its pictures.
-        timestep_s: physics timestep, s; the robot's own by default.
+        robot: the robot to simulate.
+        title: text written on its pictures.
+        timestep_s: physics timestep, s; that of the robot by default.
     """
 
     def __init__(self, robot: AnyRobot, title: str = "", *, timestep_s: float | None = None) -> None:
@@ -110,7 +110,7 @@ class Recording:
         self.robot, self.title = robot, title
         self.outcomes: Outcomes = robot.simulate(timestep_s, on_interval=traces.append)
         qpos = np.concatenate([t.qpos[0] for t in traces])
-        # A robot that diverges is shown until its pose is no longer usable.
+        # Cut the trace where a diverging robot can no longer be drawn.
         shown = max(1, int(np.cumprod((np.abs(qpos) < _USABLE_M).all(axis=1)).sum()))
         self.qpos = qpos[:shown]  #: after each thermal step, (steps, nq)
         self.temperature_c = np.concatenate([t.temperature_c[0] for t in traces])[:shown]
@@ -126,13 +126,13 @@ class Recording:
     def open_view(
         self, width: int, height: int, camera: Camera, view_length_m: float
     ) -> Iterator[Callable[[float], Frame]]:
-        """Yield a function that draws the robot at a time in s; after its end it stands still.
+        """Yield a function that draws the robot at a given time, s; times after the end show the end.
 
         Args:
-            width: of a picture, pixels.
-            height: of a picture, pixels.
+            width: picture width, pixels.
+            height: picture height, pixels.
             camera: name of the camera.
-            view_length_m: length of the body that the cameras leave room for.
+            view_length_m: body length that fits in the picture.
         """
         renderer = RobotRenderer(
             self.robot.morphology, self.robot.physics, View(width, height, camera),
@@ -141,7 +141,7 @@ class Recording:
         start_m = renderer.centre_of_mass(self.qpos[0])[0]
         failure, last = label(self.outcomes.failure[0]), len(self.qpos) - 1
 
-        @lru_cache(maxsize=1)  # a robot that stands still is not drawn again
+        @lru_cache(maxsize=1)  # repeated frames are drawn once
         def draw_step(step: int) -> Frame:
             readout = Readout(
                 (step + 1) * SMA_STEP_S,
@@ -159,16 +159,16 @@ class Recording:
 
 
 def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig | None = None) -> None:
-    """Write a video of robots crawling side by side, at the same time and scale.
+    """Write a video of robots side by side, at the same simulated time and scale.
 
     Args:
         recordings: one or more robots.
-        path: of the file, .mp4 or .gif.
+        path: path of the file, .mp4 or .gif.
         config: speed, size and camera.
 
     Raises:
-        RenderingError: this machine cannot draw.
-        VideoError: another file type, pictures too small, or the file cannot be written.
+        RenderingError: drawing is not possible on this machine.
+        VideoError: the file type is unknown, the pictures are too small, or writing fails.
     """
     config = config or VideoConfig()
     check_path(path)
@@ -183,7 +183,7 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
             stack.enter_context(r.open_view(*tile, config.camera, view_length_m)) for r in recordings
         ]
         for draw in draws:
-            draw(0.0)  # fail before a file is created
+            draw(0.0)  # raises errors before the file is created
         canvas = np.full((height, width, 3), 255, dtype=np.uint8)
         stack.callback(partial.unlink, missing_ok=True)
         comment = f"comment={' '.join(recording.robot.digest for recording in recordings)}"
@@ -209,7 +209,7 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
 
 
 def is_video_of(path: Path, robot: AnyRobot) -> bool:
-    """Return whether `write_video` made this file of this robot: best.mp4 may show an earlier one."""
+    """Return whether `write_video` wrote this file for this robot, by the digest in its metadata."""
     read = [
         imageio_ffmpeg.get_ffmpeg_exe(),
         "-loglevel",
@@ -225,10 +225,10 @@ def is_video_of(path: Path, robot: AnyRobot) -> bool:
 
 
 def check_path(path: Path) -> None:
-    """Check that a video can be written to this path.
+    """Check that a video can be written to `path`.
 
     Raises:
-        VideoError: neither .mp4 nor .gif, or its folder is missing or not writable.
+        VideoError: the suffix is not .mp4 or .gif, or the folder is missing or not writable.
     """
     if path.suffix not in _ENCODING:
         raise VideoError(f"a video must be an .mp4 or a .gif file; got {path}")

@@ -1,4 +1,4 @@
-"""Checks of the physics against closed forms, data sheets, symmetries and finer timesteps.
+"""Checks of the physics, which `caterpillar validate` and the tests run.
 
-`caterpillar validate` and the tests run the same checks.
+The references are closed forms, data sheets, symmetries, conservation laws and finer timesteps.
 """

@@ -1,4 +1,4 @@
-"""One line of the validation table."""
+"""Rows of the validation table."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Check(NamedTuple):
-    """An expected value, the computed one, and whether they agree within the tolerance."""
+    """Expected and computed value, and whether they agree within the tolerance."""
 
     name: str
     expected: str
@@ -25,12 +25,12 @@ def check_near(
 
 
 def check_at_most(name: str, limit: float, got: float, unit: str) -> Check:
-    """Check that `got` is not above `limit`."""
+    """Check that `got` is at most `limit`."""
     return Check(name, f"at most {limit:.4g} {unit}", f"{got:.4g} {unit}", "", bool(got <= limit))
 
 
 def check_at_least(name: str, limit: float, got: float, unit: str) -> Check:
-    """Check that `got` is not below `limit`."""
+    """Check that `got` is at least `limit`."""
     return Check(name, f"at least {limit:.4g} {unit}", f"{got:.4g} {unit}", "", bool(got >= limit))
 
 

@@ -18,7 +18,7 @@ _TIMESTEPS_S = (0.005, 0.0025, 0.001)
 
 
 def drift_m(physics: Physics, count: int, duration_s: float) -> Array:
-    """Return the drift of the centres of mass of `count` robots on frictionless ground, m, (count,)."""
+    """Return how far the centres of mass of `count` robots drift without friction, m, (count,)."""
     slippery = replace(physics, friction=0.0)
     robots = stack_power(wave_robots(count, 5, slippery))
     end = crawl_for(duration_s, *robots, slippery, stop_on_failure=False).progress()
@@ -26,10 +26,10 @@ def drift_m(physics: Physics, count: int, duration_s: float) -> Array:
 
 
 def check_momentum(*, quick: bool) -> list[Check]:
-    """Check that the drift is proportional to the timestep, and nearly zero for a fourth-order method.
+    """Check that the drift is proportional to the timestep, and almost zero with Runge-Kutta.
 
-    Without friction no force is horizontal, so the centre of mass must stay above one point. The default
-    integrator is of first order in joint coordinates: each step changes the momentum a little.
+    Without friction there are no horizontal forces, so the centre of mass must not move horizontally.
+    The default integrator is of first order in joint coordinates, and conserves momentum approximately.
     """
     count, duration_s = (6, 10.0) if quick else (12, EPISODE_S)
     drifts = [
@@ -45,15 +45,15 @@ def check_momentum(*, quick: bool) -> list[Check]:
     return [
         check_at_least(f"order of the drift in the timestep ({seen})", 0.7, float(order), ""),
         check_at_most(
-            "drift without friction, Runge-Kutta at 0.5 ms: worst", 0.2, 1000 * exact.max(), "mm"
+            "largest drift without friction, Runge-Kutta at 0.5 ms", 0.2, 1000 * exact.max(), "mm"
         ),
     ]
 
 
 def check_energy(*, quick: bool) -> list[Check]:
-    """Check that bent robots released without power lose energy until they are at rest.
+    """Check that bent robots released without power lose energy monotonically.
 
-    On the ground a landing robot regains some of the energy stored in the soft contacts.
+    On the ground the soft contacts store energy and return part of it.
     """
     physics = Physics()
     count, duration_s = (6, 2.0) if quick else (20, 5.0)
@@ -61,7 +61,7 @@ def check_energy(*, quick: bool) -> list[Check]:
     rng = np.random.default_rng(8)
     no_ground = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_GRAVITY
     steps = round(duration_s / physics.timestep_s)
-    in_space, on_ground, risen = [], [], []
+    in_space, on_ground, excess = [], [], []
     for body in bodies:
         model = build_model(body, physics, scenery=False)
         bent = 0.9 * model.jnt_range[1:, 1] * rng.uniform(-1, 1, model.njnt - 1)
@@ -69,24 +69,24 @@ def check_energy(*, quick: bool) -> list[Check]:
         crawl.reset(offset=bent[None])
         energy_j = _energy(model, crawl.simulation.qpos(0), physics, steps)
         on_ground.append(_regained(energy_j))
-        risen.append((energy_j.max() - energy_j[0]) / (energy_j[0] - energy_j[-1]))
+        excess.append((energy_j.max() - energy_j[0]) / (energy_j[0] - energy_j[-1]))
         model.opt.disableflags |= no_ground
         in_space.append(_regained(_energy(model, crawl.simulation.qpos(0), physics, steps)))
-    name = f"energy that {count} robots without power regain"
+    name = f"largest rise of the energy of {count} unpowered robots, over the total loss"
     return [
-        check_at_most(f"{name} in free space, share of what they lose", 1e-4, max(in_space), ""),
-        check_at_most(f"{name} on the soft ground, likewise", 0.1, max(on_ground), ""),
-        check_at_most("the same, beyond what they started with", 1e-6, max(risen), ""),
+        check_at_most(f"{name}: in free space", 1e-4, max(in_space), ""),
+        check_at_most(f"{name}: on the soft ground", 0.1, max(on_ground), ""),
+        check_at_most(f"{name}: on the ground, above the initial energy", 1e-6, max(excess), ""),
     ]
 
 
 def _regained(energy_j: Array) -> float:
-    """Return the largest rise of an energy over its total fall."""
+    """Return the largest rise of the energy, divided by its total loss."""
     return float((energy_j - np.minimum.accumulate(energy_j)).max() / (energy_j[0] - energy_j[-1]))
 
 
 def _energy(model: mujoco.MjModel, qpos: Array, physics: Physics, steps: int) -> Array:
-    """Return kinetic, gravitational and elastic energy at the start of every step, J, (steps,)."""
+    """Return the sum of kinetic, gravitational and elastic energy before each step, J, (steps,)."""
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     data = mujoco.MjData(model)
     data.qpos[:] = qpos

@@ -1,6 +1,6 @@
-"""Default numerics against two references with a timestep of 0.25 ms.
+"""Comparison of the default numerical settings with two references at a timestep of 0.25 ms.
 
-One reference has the default integrator, the independent one a fourth-order Runge-Kutta method.
+One reference uses the default integrator, the independent one the fourth-order Runge-Kutta method.
 """
 
 from __future__ import annotations
@@ -29,33 +29,30 @@ from caterpillar_env.validation.robots import (
     stack_robots,
 )
 
-SPREAD = 10  #: evolved robots whose intrinsic spread is measured
-INDEPENDENT = (
-    12  #: evolved robots simulated with the independent reference, which takes ten times as long
-)
+SPREAD = 10  #: number of evolved robots whose intrinsic spread is measured
+INDEPENDENT = 12  #: number of evolved robots simulated with the independent (ten times slower) reference
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Distances and failures of robots at the default numerics and at the reference."""
+    """Outcomes of robots with the default settings and with the references."""
 
     default: Outcomes
     reference: Outcomes
-    evolved: NDArray[np.bool_]  #: which of them are evolved, the others being random
-    spread_m: (
-        Array  #: change of the distance of the first `SPREAD` evolved ones at the reference, after 1 um
-    )
-    independent: Outcomes | None = None  #: the first evolved ones with the Runge-Kutta integrator
+    evolved: NDArray[np.bool_]  #: True for evolved robots, False for random ones
+    #: Change of the first `SPREAD` evolved robots' reference distances when the start moves by 1 um.
+    spread_m: Array
+    independent: Outcomes | None = None  #: of the first evolved robots, with the Runge-Kutta integrator
 
     def agreement(self, evolved: bool) -> float:
-        """Return the share of robots that fail in both or in neither."""
+        """Return the share of robots that fail in both simulations or in neither."""
         who = self.evolved == evolved
         failed = [o.failure[who] != Failure.NONE for o in (self.default, self.reference)]
         return float((failed[0] == failed[1]).mean())
 
     @property
     def healthy(self) -> NDArray[np.bool_]:
-        """Robots that fail in neither."""
+        """True for robots that fail in neither simulation."""
         failures = self.default.failure | self.reference.failure
         healthy: NDArray[np.bool_] = failures == Failure.NONE
         return healthy
@@ -83,7 +80,7 @@ class Comparison:
 
 
 def compare(*, quick: bool) -> Comparison:
-    """Simulate random and evolved robots with the default numerics and the references."""
+    """Simulate random and evolved robots with the default settings and the references."""
     physics, duration_s = Physics(), 10.0 if quick else EPISODE_S
     fine = replace(physics, timestep_s=0.001 if quick else 0.00025)
     exact = replace(fine, integrator="rk4", timestep_s=0.0005 if quick else 0.00025)
@@ -110,22 +107,22 @@ def check_timestep(result: Comparison) -> list[Check]:
     fine = np.abs(result.reference.distance_m[result.evolved][: len(result.spread_m)])
     spread = float(np.median(result.spread_m / fine))
     return [
-        check_at_least("failure verdicts that agree, random robots", 0.95, result.agreement(False), ""),
-        check_at_least("failure verdicts that agree, evolved robots", 0.95, result.agreement(True), ""),
+        check_at_least("agreement of failures, random robots", 0.95, result.agreement(False), ""),
+        check_at_least("agreement of failures, evolved robots", 0.95, result.agreement(True), ""),
         check_at_least("rank correlation of distances, all robots", 0.95, result.rank_correlation(), ""),
         check_at_most(
-            f"median relative error of evolved distances (a 1 um nudge makes {spread:.4f})",
+            f"median relative error of evolved distances (from a start moved by 1 um: {spread:.4f})",
             0.05, float(np.median(errors)), "",
         ),
         check_at_most(
-            "the same against the Runge-Kutta integrator",
+            "median relative error of evolved distances, against Runge-Kutta",
             0.05, float(np.median(result.independent_errors())), "",
         ),
     ]  # fmt: skip
 
 
 def plot(result: Comparison, path: Path) -> None:
-    """Plot distances at the default over the reference, and errors beside the intrinsic spread."""
+    """Plot default over reference distances, and the distribution of errors and intrinsic spread."""
     figure = Figure(figsize=(10, 4.5), layout="constrained")
     left, right = figure.subplots(1, 2)
     fine, coarse = 1000 * result.reference.distance_m, 1000 * result.default.distance_m
@@ -150,7 +147,7 @@ def plot(result: Comparison, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-#: Numerical settings to compare; each against a reference of its own.
+#: Settings to compare, each with a reference of the same physical parameters.
 SETTINGS: dict[str, dict[str, Any]] = {
     "default": {},
     "timestep 10 ms": {"timestep_s": 0.01},
@@ -179,8 +176,8 @@ def compare_settings(count: int = 16, duration_s: float = EPISODE_S) -> list[dic
     """Compare accuracy and cost of `SETTINGS` on the first `count` evolved robots.
 
     Returns:
-        A row per setting: cost in microseconds per simulated millisecond and robot (one thread), median
-        relative error, rank correlation and agreement of failures against a timestep of 0.5 ms.
+        One row per setting: cost in microseconds per simulated millisecond and robot on one thread, and
+        median relative error, rank correlation and agreement of failures with a timestep of 0.5 ms.
     """
     robots = stack_robots(evolved_robots(count))
     references: dict[str, Outcomes] = {}
@@ -201,7 +198,7 @@ def compare_settings(count: int = 16, duration_s: float = EPISODE_S) -> list[dic
                 "cost_us_per_ms": 1e3 * wall_s / float(coarse.simulated_s.sum()),
                 "median_error": float(np.median(result.errors())),
                 "rank_correlation": result.rank_correlation(),
-                "verdicts_agree": result.agreement(True),
+                "failure_agreement": result.agreement(True),
             }
         )
     return rows

@@ -1,6 +1,6 @@
-"""Figures of gaits: speed, slip, load on the body, joint limits, cost of transport.
+"""Gait metrics: speed, slip, load on the body, joint limits, cost of transport.
 
-The steps of the simulation are repeated in a plain loop that reads every contact.
+They are measured by repeating the simulation in a plain MuJoCo loop that reads every contact.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from caterpillar_env.validation.recorder import record_calls
 
 
 class Gait(NamedTuple):
-    """Figures of the gait of one robot in an episode."""
+    """Metrics of one robot's gait in an episode."""
 
-    distance_m: float  #: along the starting heading
+    distance_m: float  #: along the initial heading
     best_tenth: float  #: share of the distance covered in the best tenth of the gait period
-    peak_speed_m_s: float  #: of the centre of mass, over 10 ms
-    slip: float  #: sliding path of the feet, weighted by load, over the distance
-    body_load: float  #: share of the load on the body
-    overrun: float  #: largest travel of a joint beyond its limit, over the limit
-    cost_of_transport: float  #: electrical energy over weight times distance
-    body_lengths_s: float  #: distance over body length and time, 1/s
+    peak_speed_m_s: float  #: of the centre of mass, averaged over 10 ms
+    slip: float  #: load-weighted sliding distance of the feet, over the distance
+    body_load: float  #: share of the ground load carried by the body instead of the feet
+    overrun: float  #: largest excess of a joint over its limit, relative to the limit
+    cost_of_transport: float  #: electrical energy / (weight * distance)
+    body_lengths_s: float  #: speed in body lengths per second
 
 
 def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
@@ -51,7 +51,7 @@ def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
     end = crawl.progress()
     path = _replay(calls.models[0], np.concatenate([call["control"][0] for _, call in calls.calls]))
     if not np.array_equal(path.qpos, crawl.simulation.qpos(0)):
-        raise AssertionError("the plain loop deviates from the simulation; please report this")
+        raise AssertionError("the plain loop does not reproduce the simulation; please report this")
 
     per_step = round(SMA_STEP_S / physics.timestep_s)
     com = path.com_m[::per_step]  # every thermal step
@@ -76,6 +76,8 @@ def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
 
 
 class _Path(NamedTuple):
+    """Measurements of the plain loop; see `Gait`."""
+
     qpos: Array  #: at the end
     com_m: Array  #: centre of mass before each step and after the last, (K + 1, 3)
     slip_m: float
@@ -84,7 +86,7 @@ class _Path(NamedTuple):
 
 
 def _replay(model: mujoco.MjModel, control: Array) -> _Path:
-    """Step `model` from the start with `control` (K, springs)."""
+    """Step `model` from its initial state with `control` (K, springs)."""
     data = mujoco.MjData(model)
     is_skin = model.geom_conaffinity == SKIN
     limits = model.jnt_range[1:, 1]
@@ -92,7 +94,7 @@ def _replay(model: mujoco.MjModel, control: Array) -> _Path:
     slip_m, skin_n, all_n, overrun = 0.0, 0.0, 0.0, 0.0
     for step, springs in enumerate(control):
         data.ctrl[:] = springs
-        mujoco.mj_step(model, data)  # contacts and velocities are those before the step
+        mujoco.mj_step(model, data)  # afterwards, contacts and velocities are those before the step
         com_m[step] = data.subtree_com[1]
         overrun = max(overrun, float(((np.abs(data.qpos[7:]) - limits) / limits).max()))
         contact = data.contact
@@ -113,16 +115,16 @@ def _replay(model: mujoco.MjModel, control: Array) -> _Path:
 
 
 def measure_gaits(robots: Sequence[Robot], *, quick: bool) -> list[Gait]:
-    """Measure the gaits of robots, over a third of an episode if `quick`."""
+    """Measure the gaits of robots over an episode, or a third of one if `quick`."""
     return [measure_gait(robot, EPISODE_S / 3 if quick else EPISODE_S) for robot in robots]
 
 
 def check_gaits(gaits: Sequence[Gait]) -> list[Check]:
-    """Check that joints stay within their limits and that the legs carry the robot."""
+    """Check that joints stay close to their limits, and that the feet carry the robot."""
     overruns, loads = [g.overrun for g in gaits], [g.body_load for g in gaits]
-    name = "largest overrun of a joint over its limit"
+    name = "largest relative excess of a joint over its limit"
     return [
         check_at_most(f"{name}: median", 0.05, float(np.median(overruns)), ""),
-        check_at_most(f"{name}: worst robot", 0.15, max(overruns), ""),
+        check_at_most(f"{name}: maximum", 0.15, max(overruns), ""),
         check_at_most("share of the load on the body: mean", 0.05, float(np.mean(loads)), ""),
     ]

@@ -1,6 +1,6 @@
-"""Golden trajectories: stored results that reveal any change of the physics.
+"""Golden trajectories: stored results that detect any change of the physics.
 
-`python -m caterpillar_env.validation.golden` records them again after an intended change.
+To record them again after an intended change, run `python -m caterpillar_env.validation.golden`.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from caterpillar_env.validation.check import Check
 from caterpillar_env.validation.robots import evolved_robots, random_robots
 
 FILE = Path(__file__).with_name("golden.json")
-SAMPLE_S = 3.0  #: time between two recorded points
+SAMPLE_S = 3.0  #: time between recorded points
 TOLERANCE_M = 1e-6
-_STEADY_M = 1e-8  #: largest effect of a nanometre at the start on a recorded robot
+_STEADY_M = 1e-8  #: limit on the effect of moving the start of a recorded robot by 1 nm
 _KINDS = {"evolved": 4, "random": 2}
 
 ADVICE = (
-    "Golden trajectories belong to one version of the physics and of MuJoCo. If you changed either on "
-    "purpose and all other checks of `caterpillar validate` pass, record them again with "
-    "`python -m caterpillar_env.validation.golden` and say so in CHANGELOG.md. Otherwise find the cause "
-    "of the difference first."
+    "Golden trajectories are valid for one version of the physics and of MuJoCo. If you changed either "
+    "intentionally and all other checks of `caterpillar validate` pass, record them again with "
+    "`python -m caterpillar_env.validation.golden` and note it in CHANGELOG.md. Otherwise find the "
+    "cause of the difference first."
 )
 
 
 def describe_platform() -> str:
-    """Return what trajectories also depend on: MuJoCo's version and the kind of machine."""
+    """Return MuJoCo's version and the machine type, on which trajectories also depend."""
     return f"MuJoCo {mujoco.__version__} on {platform.machine()}"
 
 
 def compute_trajectory(robot: Robot, offset_m: float = 0.0) -> tuple[Array, str]:
     """Return the centre of mass every `SAMPLE_S` of an episode, m, (10, 3), and the failure.
 
-    `offset_m` displaces every internal joint at the start.
+    `offset_m` is added to the initial position of every internal joint.
     """
     crawl = Crawl([robot.morphology], robot.physics)
     if offset_m:
@@ -59,16 +59,16 @@ def compute_trajectory(robot: Robot, offset_m: float = 0.0) -> tuple[Array, str]
 
 
 def record(path: Path = FILE) -> None:
-    """Write the trajectories of the first robots of each kind that rounding errors do not affect."""
+    """Write the trajectories of the first robots of each kind that are insensitive to rounding."""
     entries: list[dict[str, Any]] = []
     for kind, robots in (("evolved", evolved_robots()), ("random", random_robots(50, 11, Physics()))):
         count = 0
         for index, robot in enumerate(robots):
-            points, verdict = compute_trajectory(robot)
+            points, failure = compute_trajectory(robot)
             if np.abs(compute_trajectory(robot, 1e-9)[0] - points).max() < _STEADY_M:
                 name, com_m = f"{kind} {index}", points.tolist()
                 entries.append(
-                    {"name": name, "verdict": verdict, "com_m": com_m, "robot": robot.to_dict()}
+                    {"name": name, "verdict": failure, "com_m": com_m, "robot": robot.to_dict()}
                 )
                 count += 1
             if count == _KINDS[kind]:
@@ -78,19 +78,19 @@ def record(path: Path = FILE) -> None:
 
 
 def check_trajectories(path: Path = FILE) -> list[Check]:
-    """Simulate the recorded robots again and compare."""
+    """Check that the recorded robots still have the recorded trajectories."""
     data = json.loads(path.read_text("utf-8"))
     found = []
     for entry in data["trajectories"]:
-        points, verdict = compute_trajectory(Robot.from_dict(entry["robot"]))
+        points, failure = compute_trajectory(Robot.from_dict(entry["robot"]))
         off_m = float(np.abs(points - np.array(entry["com_m"])).max())
         found.append(
             Check(
                 f"trajectory of robot {entry['name']}",
-                f"{entry['verdict']}, as with {data['recorded_with']}",
-                f"{verdict}, off by {1000 * off_m:.3g} mm with {describe_platform()}",
+                f"{entry['verdict']}, recorded with {data['recorded_with']}",
+                f"{failure}, off by {1000 * off_m:.3g} mm with {describe_platform()}",
                 f"{1000 * TOLERANCE_M:g} mm",
-                verdict == entry["verdict"] and off_m <= TOLERANCE_M,
+                failure == entry["verdict"] and off_m <= TOLERANCE_M,
             )
         )
     return found

@@ -1,4 +1,4 @@
-"""SMA model against closed forms and Dynalloy's data sheet."""
+"""Checks of the SMA model against closed forms and Dynalloy's data sheet."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _least_current() -> Check:
         return float(reached) - spring.austenite_finish_c
 
     got = float(brentq(excess, 0.5 * expected, 1.5 * expected, xtol=1e-6))
-    return check_near("least current that completes the transformation", expected, got, "A", rel=1e-3)
+    return check_near("minimum current that completes the transformation", expected, got, "A", rel=1e-3)
 
 
 def _adiabatic_pulse() -> Check:
@@ -142,7 +142,7 @@ def _partial_loops() -> list[Check]:
 
 
 def _energy_balance() -> Check:
-    """Supplied = stored + lost, with the loss integrated from the temperatures."""
+    """Check that the supplied energy is stored or lost, integrating the loss from the temperatures."""
     spring = SmaSpring()
     rng = np.random.default_rng(0)
     step_s, steps = 0.01, 3000
@@ -155,7 +155,7 @@ def _energy_balance() -> Check:
     supplied = spring.heating_w_kg * step_s * step.power.sum(axis=0)
     stored = step.state.enthalpy_j_kg - spring.specific_heat_j_kg_k * spring.ambient_c
     worst = float(np.abs((stored + lost) / supplied - 1).max())
-    return check_at_most("energy balance of 20 random power histories, 30 s, relative", 0.005, worst, "")
+    return check_at_most("relative error of the energy balance, 20 power histories", 0.005, worst, "")
 
 
 class WireRow(NamedTuple):
@@ -163,7 +163,7 @@ class WireRow(NamedTuple):
 
     diameter_mm: float
     resistance_ohm_m: float
-    current_ma: float  #: that transforms the wire in 1 s
+    current_ma: float  #: current that transforms the wire in 1 s
     cooling_lt_s: float
     cooling_ht_s: float
 
@@ -183,7 +183,10 @@ DYNALLOY = (
 def convection_w_m2_k(
     diameter_m: float, wire_c: float = 70.0, air_c: float = 25.0, emissivity: float = 0.8
 ) -> float:
-    """Return free convection and radiation of a horizontal wire (Churchill and Chu 1975), W/(m2 K)."""
+    """Return the heat transfer coefficient of a horizontal wire, W/(m2 K).
+
+    It is the sum of free convection (Churchill and Chu 1975) and radiation.
+    """
     film_k = (wire_c + air_c) / 2 + 273.15
     conductivity = 0.0241 * (film_k / 273.15) ** 0.9  # of air, W/(m K)
     viscosity = 1.327e-5 * (film_k / 273.15) ** 1.75  # kinematic, m2/s
@@ -197,7 +200,7 @@ def convection_w_m2_k(
 
 
 def straight_wire(row: WireRow, *, high_temperature: bool) -> SmaSpring:
-    """Return the wire of a row of the table, driven at its current in still air of 25 degC."""
+    """Return the straight wire of a row, driven at its current in still air of 25 degC."""
     d = row.diameter_mm / 1000
     branches = (88.0, 98.0, 72.0, 62.0) if high_temperature else (68.0, 78.0, 66.0, 56.0)
     names = ("austenite_start_c", "austenite_finish_c", "martensite_start_c", "martensite_finish_c")
@@ -213,7 +216,7 @@ def straight_wire(row: WireRow, *, high_temperature: bool) -> SmaSpring:
 
 
 def transformation_times_s(spring: SmaSpring) -> tuple[float, float]:
-    """Return times from ambient to 90 % austenite, and from full austenite at Af to 10 %, s."""
+    """Return the times from ambient to 90 % austenite, and from 100 % at Af to 10 %, s."""
     step_s = 0.005
     heating = _run(spring, np.ones(400), step_s)
     hot = SmaState.at(spring, np.array([spring.austenite_finish_c]), np.ones(1))
@@ -225,10 +228,10 @@ def transformation_times_s(spring: SmaSpring) -> tuple[float, float]:
 
 
 def check_dynalloy() -> list[Check]:
-    """Check heating and cooling times of high-temperature wire, which the model was not fitted to."""
+    """Check heating and cooling times of high-temperature wire, which were not used for fitting."""
     checks = [
         check_near(
-            "convection at 0.15 mm against the model's constant", SmaSpring().convection_w_m2_k,
+            "convection of a 0.15 mm wire", SmaSpring().convection_w_m2_k,
             convection_w_m2_k(0.15e-3), "W/(m2 K)", rel=0.02,
         )
     ]  # fmt: skip
@@ -243,7 +246,7 @@ def check_dynalloy() -> list[Check]:
 
 
 def plot(path: Path) -> None:
-    """Plot times of model and data sheet, and the hysteresis loop of the default spring."""
+    """Plot the times of model and data sheet, and the hysteresis loop of the default spring."""
     figure = Figure(figsize=(11, 4), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     diameters = [row.diameter_mm for row in DYNALLOY]

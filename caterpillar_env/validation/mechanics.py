@@ -1,4 +1,4 @@
-"""Rigid-body model against statics and free fall; symmetries, rest and failures of the whole robot."""
+"""Checks of the mechanics: statics, free fall, friction, symmetries, rest and failure detection."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _FREE = 6  # degrees of freedom of the head
 
 
 def check_statics() -> list[Check]:
-    """Check springs, hinges, weight, fall and friction."""
+    """Check spring forces, deflections, weight, free fall and friction."""
     return [_spring_forces(), *_deflections(), *_standing(), _free_fall(), *_slope()]
 
 
@@ -57,7 +57,7 @@ def _spring_forces() -> Check:
 
 
 def _deflections() -> list[Check]:
-    """Under a constant load a joint comes to rest where its own moment or force balances the load."""
+    """Check that a joint under a constant load rests where its stiffness balances the load."""
     physics = Physics()
     neck = physics.neck_stiffness_n_m_rad
     bend = physics.bend_ratio * neck
@@ -82,7 +82,7 @@ def _deflections() -> list[Check]:
 
 
 def _standing() -> list[Check]:
-    """Without power the ground bears the robot's weight, and the robot sags only a little."""
+    """Check that the ground carries the weight of an unpowered robot, which sags only slightly."""
     physics = Physics()
     model, data = _nominal_robot(physics)
     mujoco.mj_step(model, data, nstep=round(10.0 / model.opt.timestep))
@@ -93,12 +93,12 @@ def _standing() -> list[Check]:
         borne += force[0]
     weight = GRAVITY_M_S2 * float(model.body_mass.sum())
     sag = 1000 * (2 * Morphology().segment_radius_m - float(data.subtree_com[1, 2]))
-    # A contact at rest gives way by g (1 - d) / (d k), with k = 1 / (d_max timeconst)^2, impedance d.
+    # The penetration at rest is g (1 - d) / (d k), with k = 1 / (d_max timeconst)^2 and impedance d.
     softest, stiffest = 0.9, 0.95
     k = 1 / (stiffest * physics.contact_time_constant_s) ** 2
     yielding = 1000 * GRAVITY_M_S2 * (1 - softest) / (softest * k)
     return [
-        check_near("weight borne by the ground at rest", weight, borne, "N", rel=2e-3),
+        check_near("ground load at rest, equal to the weight", weight, borne, "N", rel=2e-3),
         check_at_most("static sag of the centre of mass", 1.5 * yielding, sag, "mm"),
         check_at_least("static sag of the centre of mass", 0.3 * yielding, sag, "mm"),
     ]  # fmt: skip
@@ -109,18 +109,18 @@ def _free_fall() -> Check:
     data.qpos[2] = 10.0
     mujoco.mj_forward(model, data)
     start = float(data.subtree_com[1, 2])
-    mujoco.mj_step(model, data, nstep=1001)  # positions of the centre of mass lag one step
+    mujoco.mj_step(model, data, nstep=1001)  # subtree_com lags one step
     return check_near(
         "free fall in 1 s", GRAVITY_M_S2 / 2, start - float(data.subtree_com[1, 2]), "m", rel=2e-3
     )
 
 
 def _slope() -> list[Check]:
-    """On a slope (tilted gravity) the unpowered robot sticks below atan(mu) and slides above.
+    """Check that an unpowered robot on a slope (tilted gravity) slides if the angle exceeds atan(mu).
 
-    The body is made stiff, so that it slides as a block. It still chatters: over half a second, friction
-    is mu times the normal impulse, which includes the change of the normal velocity. Later the block
-    begins to turn, and the friction of its feet no longer points along the slope.
+    The body is stiff, so that it slides as a block. Since it chatters, the friction over half a second
+    is mu times the normal impulse, which includes the change of the normal velocity. After that the
+    block starts to turn, and friction no longer points along the slope.
     """
     checks = []
     friction, duration_s = 0.4, 0.5
@@ -136,7 +136,7 @@ def _slope() -> list[Check]:
         moved, gained = float(data.subtree_com[1, 0]) - start_m, _com_velocity(model, data) - before
         name = f"foot on a slope of {share:g} mu"
         if share < 1:
-            checks.append(check_at_most(f"{name} sticks: way in 0.5 s", 0.1, 1000 * moved, "mm"))
+            checks.append(check_at_most(f"{name} sticks: sliding in 0.5 s", 0.1, 1000 * moved, "mm"))
         else:
             pull = GRAVITY_M_S2 * (math.sin(angle) - friction * math.cos(angle))
             got = float(gained[0] + friction * gained[2]) / duration_s
@@ -145,7 +145,7 @@ def _slope() -> list[Check]:
 
 
 def _com_velocity(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Return the velocity of the robot's centre of mass, (3,)."""
+    """Return the velocity of the robot's centre of mass, m/s, (3,)."""
     mujoco.mj_forward(model, data)
     mujoco.mj_subtreeVel(model, data)
     velocity: Array = data.subtree_linvel[1].copy()
@@ -153,10 +153,10 @@ def _com_velocity(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
 
 
 def check_symmetries(*, quick: bool) -> list[Check]:
-    """Check that a perfect robot goes straight in any direction, and that mirroring mirrors its path.
+    """Check that robots without mismatch go straight in any direction, and that mirroring works.
 
-    The solver's tolerance and stick-slip amplify rounding errors. The tolerance is therefore what a
-    change of the start by a micrometre does to the same robots.
+    The solver's tolerance and stick-slip amplify rounding errors. The tolerance of these checks is
+    therefore the effect of moving the start of the same robots by a micrometre.
     """
     count, duration_s = (12, 10.0) if quick else (20, EPISODE_S)
     perfect, uneven = Physics(mismatch_std=0.0), Physics()
@@ -181,25 +181,29 @@ def check_symmetries(*, quick: bool) -> list[Check]:
     perfect_mm, uneven_mm = spread_mm(perfect, straight), spread_mm(uneven, left)
     checks = []
     for what, got_mm, intrinsic_mm in (
-        ("sideways drift of a perfect robot", 1000 * np.abs(straight.lateral_m), perfect_mm),
-        ("yawed start against straight start", distances_mm(straight, turned), perfect_mm),
-        ("mirrored mismatch against mirrored path", distances_mm(left, right, side=-1.0), uneven_mm),
+        ("lateral drift without mismatch", 1000 * np.abs(straight.lateral_m), perfect_mm),
+        ("yawed against straight start", distances_mm(straight, turned), perfect_mm),
+        (
+            "mirrored mismatch against mirrored path",
+            distances_mm(left, right, side=-1.0),
+            uneven_mm,
+        ),
     ):
         allowed_mm = np.maximum(intrinsic_mm, 1e-3)  # differences below a micrometre are ignored
         median_mm, limit_mm = float(np.median(got_mm)), float(np.median(allowed_mm))
-        # Whether a body buckles to the left or to the right is chance: one in ten may be outside.
+        # Robots may buckle to either side by chance, so one in ten may exceed the tolerance.
         beyond = float((got_mm > allowed_mm).mean())
         checks += [
             check_at_most(f"{what}: median", limit_mm, median_mm, "mm"),
-            check_at_most(f"{what}: share of robots beyond their own spread", 0.1, beyond, ""),
+            check_at_most(f"{what}: share of robots beyond their intrinsic spread", 0.1, beyond, ""),
         ]
     return checks
 
 
 def check_rest(*, quick: bool) -> list[Check]:
-    """Check that robots come to rest without power and with full power, and hardly creep afterwards.
+    """Check that robots come to rest without power and with full power, and then hardly creep.
 
-    A few first lean over slowly and buckle, which takes less than a minute.
+    A few robots first lean over slowly and buckle, within a minute.
     """
     count, settle_s, watch_s = (8, 60.0, 10.0) if quick else (60, 60.0, 30.0)
     physics = Physics()
@@ -215,7 +219,7 @@ def check_rest(*, quick: bool) -> list[Check]:
         speed = 1000 * np.abs(after.velocity[:, :3]).max()
         checks += [
             check_at_most(
-                f"{word}: creep of the centre of mass in 30 s, once at rest", 1.0, creep.max(), "mm"
+                f"{word}: creep of the centre of mass in 30 s at rest", 1.0, creep.max(), "mm"
             ),
             check_at_most(f"{word}: speed of any element at the end", 0.2, float(speed), "mm/s"),
         ]
@@ -223,7 +227,7 @@ def check_rest(*, quick: bool) -> list[Check]:
 
 
 def check_failures(healthy: Sequence[Robot]) -> list[Check]:
-    """Check that each kind of failure is detected by name, and that healthy robots do not fail."""
+    """Check that each kind of failure is detected, and that healthy robots do not fail."""
     physics = Physics()
     poses = {
         # height of the head's centre (m), roll, yaw (rad)
@@ -260,14 +264,14 @@ def check_failures(healthy: Sequence[Robot]) -> list[Check]:
     found = [label(code) for code in simulate(*stack_robots(healthy), physics).failure]
     return [
         *checks,
-        check_equal(f"{len(healthy)} evolved robots, none failing", ["ok"], sorted(set(found))),
+        check_equal(f"outcomes of {len(healthy)} evolved robots", ["ok"], sorted(set(found))),
     ]
 
 
 def _steered() -> list[Check]:
-    """A robot with power on its left side only turns one way, on its right side only the other way.
+    """Check that a robot turns to opposite sides when only its left or right springs are powered.
 
-    The threshold is 10 degrees, since no robot turns by the default 45.
+    The threshold is 10 degrees, since no robot turns by the default of 45.
     """
     physics = Physics(mismatch_std=0.0)
     bodies, power = stack_power([random_robots(200, 7, physics)[184]])
@@ -278,6 +282,6 @@ def _steered() -> list[Check]:
     failures = [label(failure) for failure in crawl.failure]
     turned = np.sign(crawl.progress().heading_rad)
     return [
-        check_equal("robot steered by one side's springs", ["veered"] * 2, failures),
-        check_equal("the sides steer it opposite ways", 0.0, float(turned.sum())),
+        check_equal("robots powered on one side only", ["veered"] * 2, failures),
+        check_equal("sum of the signs of their headings", 0.0, float(turned.sum())),
     ]

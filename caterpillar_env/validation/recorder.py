@@ -1,4 +1,4 @@
-"""Record the calls of a simulation to the engine, and repeat them on a bare engine."""
+"""Record the calls of a simulation to its engine, and repeat them on another engine."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from caterpillar_env.simulation import Simulation
 
 
 class EngineCalls:
-    """Calls of a `Simulation` to its engine since its last reset.
+    """The calls of a `Simulation` to its engine since its last reset.
 
-    Repeating them costs the engine's work only, without springs, failure checks and observations.
+    Repeating them measures the engine alone, without springs, failure checks and observations.
     """
 
     def __init__(self, simulation: Simulation) -> None:
         self.models = list(simulation.models)
-        self.calls: list[tuple[str, dict[str, Any]]] = []  #: names of methods and their arguments
+        self.calls: list[tuple[str, dict[str, Any]]] = []  #: method names and arguments
 
     @property
     def steps(self) -> int:
@@ -29,21 +29,21 @@ class EngineCalls:
         return sum(call["nstep"] * len(call["ids"]) for name, call in self.calls if name == "rollout")
 
     def make_batch(self, threads: int) -> Batch:
-        """Return a new engine with the same bodies, at the start."""
+        """Return a new engine with the same models, in its initial state."""
         batch = Batch(self.models[0], len(self.models), threads)
         batch.set_models(self.models)
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         return batch
 
     def repeat(self, batch: Batch, first: int = 0, last: int | None = None) -> None:
-        """Repeat calls number `first` to before `last` on an engine that has made those before."""
+        """Repeat the calls `first` to `last` (exclusive) on an engine that has made all earlier ones."""
         for name, call in self.calls[first:last]:
             getattr(batch, name)(**call)
 
 
 @contextmanager
 def record_calls(simulation: Simulation) -> Iterator[EngineCalls]:
-    """Record the calls of a simulation, which has just been reset, within the block."""
+    """Record the engine calls of a simulation within the block. Reset the simulation just before."""
     recording, batch = EngineCalls(simulation), simulation.engine
 
     class Recorder:

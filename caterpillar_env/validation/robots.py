@@ -1,7 +1,7 @@
-"""Robots for the validation: random ones, waves, and evolved ones that are stored as data.
+"""Robots for the validation: random, with wave gaits, and evolved (stored as data).
 
-Evolution finds the faults of a simulator, which random genomes do not. After a change of the physics,
-`python -m benchmarks.validation_robots` evolves new robots.
+Evolution exploits errors of a simulator that random robots do not reveal. After a change of the physics,
+evolve new robots with `python -m benchmarks.validation_robots`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FILE = Path(__file__).with_name("evolved.json")
 
 
 def random_robots(count: int, seed: int, physics: Physics) -> list[Robot]:
-    """Return robots of uniformly random genomes."""
+    """Return robots with uniformly random bodies and gaits."""
     size, times = len(PARAMETERS), physics.num_springs
     genomes = np.random.default_rng(seed).random((count, size + times))
     gaits = GaitTimings.from_action((2.0 * genomes[:, size:] - 1.0).astype(np.float32), GAIT_PERIOD_S)
@@ -33,12 +33,12 @@ def random_robots(count: int, seed: int, physics: Physics) -> list[Robot]:
 
 
 def wave_robots(count: int, seed: int, physics: Physics) -> list[Robot]:
-    """Return robots with random bodies that crawl: their springs are heated in a wave from the tail."""
+    """Return robots with random bodies, whose springs are heated in a wave from the tail."""
     rng = np.random.default_rng(seed)
     gaps = physics.num_segments - 1
     bodies = [Morphology.from_unit(rng.random(8)) for _ in range(count)]
     lag, offset = rng.uniform(-0.35, -0.15, (count, 1, 1)), rng.uniform(0.4, 0.6, (count, 1, 1))
-    duty = rng.uniform(0.15, 0.25, (count, 1, 2))  # of the dorsal and the ventral pairs
+    duty = rng.uniform(0.15, 0.25, (count, 1, 2))  # of dorsal and ventral pairs
     on = (lag * np.arange(gaps)[:, None] + offset * np.arange(2)) % 1.0
     off = (on + duty) % 1.0
     on_s, off_s = (GAIT_PERIOD_S * share.reshape(count, -1) for share in (on, off))
@@ -53,24 +53,24 @@ def _make_robots(bodies: list[Morphology], on_s: Array, off_s: Array, physics: P
 
 
 def evolved_robots(count: int | None = None) -> list[Robot]:
-    """Return the stored evolved robots, one a run: those of the first seed, then of the second, ..."""
+    """Return the stored evolved robots, one per run, ordered by the seed of the run."""
     return [Robot.from_dict(data) for data in json.loads(FILE.read_text("utf-8"))[:count]]
 
 
 def farthest_robots(count: int) -> list[Robot]:
-    """Return the evolved robots that crawl farthest, in that order."""
+    """Return the evolved robots with the highest fitness, in descending order."""
     return sorted(evolved_robots(), key=lambda r: -(r.fitness_m or 0.0))[:count]
 
 
 def stack_robots(robots: Sequence[Robot]) -> tuple[list[Body], GaitTimings]:
-    """Return bodies and gaits of robots with the same gait period, as `robot.simulate` takes them."""
+    """Return the bodies and stacked gaits of robots with the same gait period, for `simulate`."""
     on = np.stack([r.timings.on_s for r in robots])
     off = np.stack([r.timings.off_s for r in robots])
     return [r.morphology for r in robots], GaitTimings(robots[0].timings.period_s, on, off)
 
 
 def stack_power(robots: Sequence[Robot]) -> tuple[list[Body], Array]:
-    """Return bodies, and the power of a gait period as `Crawl.run` takes it, (R, steps, springs)."""
+    """Return bodies, and the power in a gait period for `Crawl.run`, (R, steps, springs)."""
     bodies, timings = stack_robots(robots)
     return bodies, timings.of_springs(robots[0].physics.num_springs).power(SMA_STEP_S)
 
@@ -80,14 +80,14 @@ def crawl_for(
     heading_rad: float = 0.0, offset_m: float = 0.0, stop_on_failure: bool = True,
     thresholds: Thresholds | None = None,
 ) -> Crawl:  # fmt: skip
-    """Let robots crawl for `duration_s`, repeating a period of power (R, steps, springs).
+    """Simulate robots for `duration_s`, repeating one period of power (R, steps, springs).
 
-    `offset_m` displaces every joint at the start, to measure the effect of a tiny change: each axial
-    joint, and each hinge so that the centre of the element behind it moves as far.
+    `offset_m` changes the initial state slightly, to measure how sensitive the result is. It is added to
+    every axial joint; hinges turn so that the centre of the element behind moves by the same length.
     """
     crawl = Crawl(bodies, physics, thresholds=thresholds, stop_on_failure=stop_on_failure)
     axial = np.array([n.startswith("axial") for n in joint_names(physics.num_segments)])
-    # A hinge is half-way between two elements, a quarter of a segment from either.
+    # A hinge is halfway between two elements, a quarter of a segment from the centre of each.
     heads = [segments_of(body, physics.num_segments)[0] for body in bodies]
     arms_m = np.array([head.segment_length_m / 4 for head in heads])[:, None]
     offset = np.where(axial, offset_m, offset_m / arms_m)

@@ -1,4 +1,4 @@
-"""Distances of evolved robots when the physics or one of their genes is not quite as evolved."""
+"""Sensitivity of evolved robots to changes of the physics and of their genes."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from caterpillar_env.validation.check import Check, check_near
 from caterpillar_env.validation.robots import stack_robots
 
 STOPS = "softness of the joint stops 2.5 / 10 ms"
-SHARES = (0.01, 0.03, 0.10)  #: changes of a gene as shares of its range; for times, of the gait period
+SHARES = (0.01, 0.03, 0.10)  #: changes of a gene, relative to its range; for times, to the gait period
 SEED = 12
 
-#: Name, field of `Physics` or of its spring, low and high value.
+#: Label, field of `Physics` or its spring, low and high value.
 _PARAMETERS: tuple[tuple[str, str, float, float], ...] = (
     ("friction 0.4 / 1.2", "friction", 0.4, 1.2),
     ("neck stiffness 3e-3 / 12e-3 N m/rad", "neck_stiffness_n_m_rad", 3e-3, 12e-3),
@@ -36,12 +36,12 @@ _PARAMETERS: tuple[tuple[str, str, float, float], ...] = (
     ("martensite stiffness 12 / 17 N/m", "spring.martensite_stiffness_n_m", 12.0, 17.0),
     ("martensite rest length 20 / 24 mm", "spring.martensite_rest_length_m", 0.020, 0.024),
     ("ambient 15 / 35 degC", "spring.ambient_c", 15.0, 35.0),
-    ("mismatch: two other draws", "mismatch_seed", 1001, 1002),
+    ("mismatch: two other seeds", "mismatch_seed", 1001, 1002),
 )
 
 
 class Swing(NamedTuple):
-    """Distances of robots with one parameter low and high, m, (robots,); 0 for failed ones."""
+    """Distances with a low and a high value of one parameter, m, (robots,); 0 for failed robots."""
 
     name: str
     low_m: Array
@@ -56,7 +56,7 @@ def _change(physics: Physics, field: str, value: float) -> Physics:
 
 
 def vary_parameters(robots: Sequence[Robot]) -> tuple[Array, list[Swing]]:
-    """Return distances as evolved, m, (robots,), and with each parameter of the physics low and high."""
+    """Return the unchanged distances, m, (robots,), and those with each parameter low and high."""
     bodies, timings = stack_robots(robots)
     physics = robots[0].physics
 
@@ -78,7 +78,7 @@ def vary_parameters(robots: Sequence[Robot]) -> tuple[Array, list[Swing]]:
 
 
 def check_stops(robots: Sequence[Robot]) -> list[Check]:
-    """Check that the median distance hardly depends on the softness of the joint stops."""
+    """Check that the softness of the joint stops has little effect on the median distance."""
     bodies, timings = stack_robots(robots)
     medians_m = []
     for factor in (0.5, 1.0, 2.0):
@@ -88,7 +88,7 @@ def check_stops(robots: Sequence[Robot]) -> list[Check]:
     hard_m, base_m, soft_m = medians_m
     return [
         check_near(
-            f"median distance with {word} the stops' time constant",
+            f"median distance with {word} the time constant of the joint stops",
             1000 * base_m, 1000 * got_m, "mm", rel=0.1,
         )
         for word, got_m in (("half", hard_m), ("twice", soft_m))
@@ -96,7 +96,7 @@ def check_stops(robots: Sequence[Robot]) -> list[Check]:
 
 
 def plot_parameters(base_m: Array, swings: Sequence[Swing], path: Path) -> None:
-    """Plot distances relative to the unchanged robot: a dot per robot, a bar to their median."""
+    """Plot distances relative to the unchanged robots: a dot per robot, a bar for the median."""
     figure = Figure(figsize=(9, 0.55 * len(swings) + 1.4), layout="constrained")
     axis = figure.subplots()
     order = sorted(
@@ -117,9 +117,9 @@ def plot_parameters(base_m: Array, swings: Sequence[Swing], path: Path) -> None:
 
 
 def perturb_genes(robot: Robot, share: float, rng: np.random.Generator) -> list[Robot]:
-    """Return one robot per gene, with that gene changed by `share` of its range, up or down.
+    """Return one robot per gene, with that gene changed up or down by `share` of its range.
 
-    Genes of the body are reflected at their bounds; times wrap around the gait period.
+    If a body gene would leave its bounds, it changes the other way. Times wrap around the gait period.
     """
     assert isinstance(robot.morphology, Morphology)
     unit, period_s = robot.morphology.to_unit(), robot.timings.period_s
@@ -127,9 +127,9 @@ def perturb_genes(robot: Robot, share: float, rng: np.random.Generator) -> list[
     robots = []
     for gene, sign in enumerate(rng.choice([-1.0, 1.0], len(unit) + times.size)):
         if gene < len(unit):
-            off = unit.copy()
-            off[gene] += sign * share if 0 <= off[gene] + sign * share <= 1 else -sign * share
-            robots.append(replace(robot, morphology=Morphology.from_unit(off)))
+            changed = unit.copy()
+            changed[gene] += sign * share if 0 <= unit[gene] + sign * share <= 1 else -sign * share
+            robots.append(replace(robot, morphology=Morphology.from_unit(changed)))
         else:
             moved = times.copy()
             moved.flat[gene - len(unit)] += sign * share * period_s
@@ -140,7 +140,7 @@ def perturb_genes(robot: Robot, share: float, rng: np.random.Generator) -> list[
 
 
 def vary_genes(robots: Sequence[Robot], duration_s: float = EPISODE_S) -> Array:
-    """Return distances relative to the unchanged robots, (shares, robots, genes); 0 for failed ones."""
+    """Return distances relative to the unchanged robots, (shares, robots, genes); 0 for failures."""
     rng = np.random.default_rng(SEED)
     changed = [r for share in SHARES for robot in robots for r in perturb_genes(robot, share, rng)]
     bodies, timings = stack_robots([*robots, *changed])
@@ -151,12 +151,12 @@ def vary_genes(robots: Sequence[Robot], duration_s: float = EPISODE_S) -> Array:
 
 
 def plot_genes(ratios: Array, names: Sequence[str], path: Path) -> None:
-    """Plot quartiles of the relative distances by gene and size of the change.
+    """Plot quartiles of the relative distances for each gene and size of the change.
 
     Args:
-        ratios: see `vary_genes`.
-        names: of the genes.
-        path: of the picture.
+        ratios: result of `vary_genes`.
+        names: names of the genes.
+        path: picture to write.
     """
     figure = Figure(figsize=(9, 0.42 * len(names) + 1.6), layout="constrained")
     axis = figure.subplots()
@@ -170,7 +170,7 @@ def plot_genes(ratios: Array, names: Sequence[str], path: Path) -> None:
             color=colour, markersize=4, label=f"{100 * share:g} % of the range",
         )  # fmt: skip
     axis.axvline(1.0, color="black", linewidth=0.8)
-    axis.axhline(len(PARAMETERS) - 0.5, color="grey", linewidth=0.6)  # below it the body, above the gait
+    axis.axhline(len(PARAMETERS) - 0.5, color="grey", linewidth=0.6)  # separates body and gait
     axis.set(yticks=rows, yticklabels=names)
     axis.set_xlabel("distance relative to the unchanged robot (median and quartiles; 0: failed)")
     axis.invert_yaxis()

@@ -271,7 +271,7 @@ def test_every_camera_sees_the_robot_and_none_sees_the_same(camera):
     ("wrong", "match"),
     [
         ({"camera_name": "front"}, "camera_name must be None or one of track, side, top; got 'front'"),
-        ({"width": 0}, "width must be a number of pixels from 1 to 8192; got 0"),
+        ({"width": 0}, r"width must be an integer from 1 to 8192 \(pixels\); got 0"),
         ({"height": 4.5}, r"height .* got 4\.5"),
     ],
 )

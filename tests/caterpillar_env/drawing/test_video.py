@@ -218,7 +218,7 @@ def test_values_out_of_range_are_refused(wrong, match):
 
 
 def test_too_many_tiles_are_refused():
-    with pytest.raises(VideoError, match="5 robots in 128 x 96 pixels would be less than 64 wide"):
+    with pytest.raises(VideoError, match="5 robots in 128 x 96 pixels would have tiles smaller than 64"):
         QUICK.layout(5)
 
 
