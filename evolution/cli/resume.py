@@ -39,7 +39,8 @@ def resume_command(argv: Sequence[str]) -> int:
     history = History.read(args.folder)
     generations = max(args.generations or 0, history.config.generations)
     ending = history.ending(generations)
-    if history.finished and ending is not None and (args.folder / "best.json").exists():
+    longer = args.generations is None or args.generations >= history.config.generations
+    if history.finished and longer and ending is not None and (args.folder / "best.json").exists():
         console.print(f"already finished: {ending}")
         print_commands(history)
         return 0

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from scipy.stats import qmc
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import check_choice
@@ -43,7 +42,11 @@ class RandomSearch(GenerationalOptimizer):
         self._distributions = list(distributions)
         self._population = population
         self._rng = rng
-        self._sobol = qmc.Sobol(len(self._distributions), rng=rng) if sampling == "sobol" else None
+        self._sobol = None
+        if sampling == "sobol":
+            from scipy.stats import qmc  # takes half a second
+
+            self._sobol = qmc.Sobol(len(self._distributions), rng=rng)
 
     def _propose(self) -> Array:
         if self._sobol is None:

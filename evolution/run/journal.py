@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from caterpillar_env.files import unused
 from caterpillar_env.task import Failure, label
 from evolution.run.database import JournalError, connect, damaged, digest, explain_errors, lock
 from evolution.run.records import Completion, Evaluation, Session, fingerprint
@@ -268,7 +269,7 @@ class Journal:
     def repair(cls, folder: Path) -> int:
         """Keep the evaluations that precede the first damage.
 
-        The damaged file is kept as `journal.sqlite.damaged`. Completed generations are recorded again
+        The damaged file is kept as `journal.sqlite.damaged`, numbered if that exists. Completed generations are recorded again
         when the run is resumed.
 
         Returns:
@@ -293,10 +294,11 @@ class Journal:
                             kept.append(row)
                     except sqlite3.DatabaseError:
                         pass  # the damage begins here
+                damaged_file = unused(folder, f"{FILE}.damaged")
                 for suffix in ("", "-wal", "-shm", "-journal"):
                     old = path.with_name(FILE + suffix)
                     if old.exists():
-                        old.replace(path.with_name(f"{FILE}.damaged{suffix}"))
+                        old.replace(f"{damaged_file}{suffix}")
             except (sqlite3.DatabaseError, TypeError, ValueError):
                 raise JournalError(
                     f"the configuration in {path} is damaged: nothing can be kept; start a new run"

@@ -109,18 +109,18 @@ def resume(
                     f"{folder} was run with your own {what} ({name}); resume it in Python with "
                     f"evolution.resume(folder, {what}=...)"
                 )
-        if generations is not None:
-            if generations < history.config.generations:
-                raise RunError(
-                    f"a run can only be made longer: it has {history.config.generations} generations, "
-                    f"and generations = {generations} is fewer"
-                )
-            longer = replace(history.config, generations=generations)
-            journal.configure(history.configuration | longer.to_dict())
+        if generations is not None and generations < history.config.generations:
+            raise RunError(
+                f"a run can only be made longer: it has {history.config.generations} generations, "
+                f"and generations = {generations} is fewer"
+            )
         if on_warning is not None:
             _warn_of_versions(history, on_warning)
-        optimizer = optimizer or History(journal).config.make_optimizer()
+        optimizer = optimizer or history.config.make_optimizer()
         with evaluator or LocalEvaluator() as workers:
+            if generations is not None:  # a cluster that cannot be reached changes nothing
+                longer = replace(history.config, generations=generations)
+                journal.configure(history.configuration | longer.to_dict())
             return _run(journal, optimizer, objective, workers, on_generation, on_progress)
 
 
@@ -137,7 +137,7 @@ def _run(
     objective = objective or OBJECTIVES[config.objective]
     journal.begin()
     try:
-        while not config.ending(len(history.generations), history.simulated_s, history.farthest_m):
+        while history.ending() is None:
             genomes = config.encoding.check(optimizer.ask())
             known = history.replay(genomes)
             done = known
