@@ -37,7 +37,7 @@ __all__ = [
 
 for _id, _mode in (("CaterpillarSMA-v0", "timing"), ("CaterpillarSMASwitch-v0", "switch")):
     if _id not in _gymnasium.registry:
-        # No step limit here: the environment ends its own 30 s, whatever the length of a step.
+        # No step limit: the environment itself truncates after 30 s, for any length of a step.
         _gymnasium.register(
             id=_id,
             entry_point="caterpillar_env.env:CaterpillarEnv",
@@ -59,7 +59,7 @@ _LAZY = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import the public classes when they are first asked for, so that registering stays quick."""
+    """Import a public name on first access, so that registering the environments stays fast."""
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(_import_module(f"{__name__}.{_LAZY[name]}"), name)

@@ -25,7 +25,7 @@ _ROW = np.array([0])
 
 
 class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle):
-    """A soft caterpillar robot that is to crawl straight ahead for 30 s.
+    """A soft caterpillar robot whose task is to crawl straight ahead for 30 s.
 
     Registered as `CaterpillarSMA-v0` (timing mode) and `CaterpillarSMASwitch-v0` (switch mode). The page
     `docs/environment.md` specifies actions, observations, rewards, failures and `info`.
@@ -37,31 +37,31 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         action_mode: "timing", where a step is a gait period and the action holds on and off times, or
             "switch", where a step is a control interval of 0.1 s and the action switches springs.
         symmetric: in timing mode, whether the left and the right spring of a pair share their times.
-        gait_period_s: gait period, a multiple of 0.1 s.
-        frame_skip: gait periods (timing) or control intervals (switch) in a step.
-        episode_s: simulated length of an episode, a multiple of 0.1 s.
+        gait_period_s: gait period, s, a multiple of 0.1 s.
+        frame_skip: number of gait periods (timing) or control intervals (switch) in a step.
+        episode_s: simulated length of an episode, s, a multiple of 0.1 s.
         forward_reward_weight: reward for a metre of progress.
         ctrl_cost_weight: cost of a joule of electrical energy.
         failure_cost: cost of a failure.
         reset_noise_scale: at reset, hinges are displaced by up to this many rad and axial joints by up
             to this many cm.
-        randomization: conditions to draw at each reset: a mapping of the fields of `Randomization` to
-            lower and upper bounds.
+        randomization: ranges of the conditions to sample at each reset: a mapping from fields of
+            `Randomization` to lower and upper bounds.
         terminate_on_failure: whether a failure ends the episode. A divergence always does.
         threads: has no effect on a single robot; see `CaterpillarVectorEnv`.
         render_mode: None, "human", "rgb_array", "depth_array" or "rgb_array_list".
-        width: of pictures, pixels.
-        height: of pictures, pixels.
+        width: width of the frames, pixels.
+        height: height of the frames, pixels.
         camera_name: "track", "side" or "top"; all of them follow the robot.
         default_camera_config: attributes of a free camera, which replaces the named one.
-        overlay: whether to write time, distance and energy on colour pictures, and draw the path.
+        overlay: whether to draw the path, time, distance and energy on colour frames.
 
     Attributes:
         crawl: the simulated robot: `crawl.progress()`, `crawl.simulation.state()` and so on.
-        on_interval: function that is called with the `Trace` of every control interval, if any.
+        on_interval: function to call with the `Trace` of every control interval, or None.
 
     Raises:
-        CaterpillarError: an argument is of the wrong kind or out of range.
+        CaterpillarError: an argument has the wrong type or is out of range.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -114,17 +114,17 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         self._running = False
         fps = self.metadata["render_fps"]
         if render_mode in ("rgb_array", "depth_array"):
-            fps = 1 / self.dt  # a frame is a step
+            fps = 1 / self.dt  # one frame per step
         self.metadata = {**self.metadata, "render_modes": modes, "render_fps": fps}
 
     @property
     def dt(self) -> float:
-        """Simulated length of a step, s."""
+        """Simulated length of an environment step, s."""
         return self._episodes.step_s
 
     @property
     def morphology(self) -> Morphology:
-        """The robot's body; `reset` may change it."""
+        """Body of the robot. `reset` may change it."""
         return self._episodes.morphology(0)
 
     @property
@@ -149,7 +149,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     def step(
         self, action: NDArray[Any]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Advance by one gait period (timing) or `frame_skip` control intervals (switch)."""
+        """Advance by `frame_skip` gait periods (timing) or control intervals (switch)."""
         if not self._running:
             raise SimulationError("call reset() before step()")
         live = self.on_interval is not None or self.render_mode in ("human", "rgb_array_list")
@@ -201,5 +201,5 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
 
 
 def _scalars(info: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """The values of the only robot."""
+    """Return the values of the only robot."""
     return {key: value.item() for key, value in info.items()}

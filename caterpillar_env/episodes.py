@@ -1,4 +1,4 @@
-"""Episodes of N robots as arrays: what the single and the vector environment share."""
+"""Episodes of N robots as arrays, for the single and the vector environment."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from caterpillar_env.task import STEPS_PER_INTERVAL, Crawl, Failure, OnInterval,
 
 ActionMode = Literal["timing", "switch"]
 
-#: Bound of every entry of an observation; those of healthy robots stay around one.
+#: Bound of every entry of an observation. Entries of healthy robots have a magnitude of about one.
 OBSERVATION_LIMIT = 1000.0
 #: With a reset noise of 1, hinges are displaced by up to 1 rad and axial joints by up to this much.
 _AXIAL_NOISE_M = 0.01
@@ -31,10 +31,10 @@ _AXIAL_NOISE_M = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class EpisodeConfig:
-    """Settings of episodes: arguments of `CaterpillarEnv`, which documents them.
+    """Settings of episodes. For their descriptions, see the arguments of `CaterpillarEnv`.
 
     Raises:
-        CaterpillarError: a setting is of the wrong kind or out of range.
+        CaterpillarError: a setting has the wrong type or is out of range.
     """
 
     physics: Physics
@@ -71,7 +71,7 @@ class EpisodeConfig:
 
     @classmethod
     def of(cls, arguments: Mapping[str, Any]) -> EpisodeConfig:
-        """Take the settings from the arguments of an environment, by name."""
+        """Create the settings from the keyword arguments of an environment."""
         chosen: dict[str, Any] = {f.name: arguments.get(f.name) for f in fields(cls)}
         chosen["physics"] = Physics.of(chosen["physics"])
         chosen["randomization"] = Randomization.of(chosen["randomization"])
@@ -79,13 +79,13 @@ class EpisodeConfig:
 
     @property
     def step_intervals(self) -> int:
-        """Control intervals in a step of the environment."""
+        """Number of control intervals in an environment step."""
         period = count_steps(self.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
         return self.frame_skip * (period if self.action_mode == "timing" else 1)
 
     @property
     def episode_intervals(self) -> int:
-        """Control intervals in an episode without failure."""
+        """Number of control intervals in an episode without failure."""
         intervals = count_steps(self.episode_s, CONTROL_INTERVAL_S, "episode_s")
         if not self.max_episode_steps:
             return intervals
@@ -93,12 +93,12 @@ class EpisodeConfig:
 
     @property
     def clock_period_s(self) -> float | None:
-        """Period of the observed phase, s; None where no phase is observed, at whole gait periods."""
+        """Period of the observed phase, s. None in timing mode, where the phase is always zero."""
         return self.gait_period_s if self.action_mode == "switch" else None
 
 
 class Step(NamedTuple):
-    """Results of a step, one entry per robot; `info` holds arrays by key."""
+    """Results of a step, with one entry per robot. `info` maps keys to arrays."""
 
     observation: NDArray[np.float32]
     reward: Array
@@ -108,12 +108,12 @@ class Step(NamedTuple):
 
 
 class Episodes:
-    """Episodes of N robots.
+    """Run episodes of N robots.
 
     Args:
-        bodies: one for each robot.
+        bodies: body of each robot.
         config: settings of the episodes.
-        threads: see `Simulation`.
+        threads: number of threads, see `Simulation`.
     """
 
     def __init__(self, bodies: Sequence[Morphology], config: EpisodeConfig, threads: int) -> None:
@@ -121,8 +121,8 @@ class Episodes:
         self.crawl = Crawl(bodies, physics, threads, stop_on_failure=config.terminate_on_failure)
         self._step_intervals, self._limit = config.step_intervals, config.episode_intervals
         self._clock_s = config.clock_period_s
-        self._scaled_bodies = np.zeros((len(bodies), len(NAMES)))  # to [-1, 1], as observed
-        self._intervals = np.zeros(len(bodies), dtype=np.int64)  # made since reset
+        self._scaled_bodies = np.zeros((len(bodies), len(NAMES)))  # in [-1, 1], as observed
+        self._intervals = np.zeros(len(bodies), dtype=np.int64)  # since reset
 
         self.action_space: spaces.Box | spaces.MultiBinary
         if config.action_mode == "timing":
@@ -141,9 +141,9 @@ class Episodes:
         return self._step_intervals * CONTROL_INTERVAL_S
 
     def morphology(self, row: int) -> Morphology:
-        """The body of a row."""
+        """Return the body of a row."""
         body = self.crawl.simulation.bodies[row]
-        assert isinstance(body, Morphology)  # environments have no bodies of unlike segments
+        assert isinstance(body, Morphology)  # environments take bodies of identical segments only
         return body
 
     def reset(
@@ -155,9 +155,9 @@ class Episodes:
         """Start new episodes.
 
         Args:
-            rows: which robots.
-            generators: source of noise and conditions for each of them.
-            bodies: one for each of them; the present ones by default.
+            rows: indices of the robots to reset, (R,).
+            generators: random generator of each of these robots.
+            bodies: new body of each of these robots. By default, bodies do not change.
         """
         config, physics = self.config, self.config.physics
         joints = joint_names(physics.num_segments)
@@ -182,11 +182,11 @@ class Episodes:
         rows: Rows,
         on_interval: OnInterval | None = None,
     ) -> Step:
-        """Advance some rows by one environment step; a robot that fails stops within it.
+        """Advance robots by one environment step. A robot that fails stops within the step.
 
         Args:
-            actions: one per row, as returned by `check_actions`.
-            rows: which robots.
+            actions: action of each robot, as returned by `check_actions`.
+            rows: indices of the robots to advance, (R,).
             on_interval: see `Crawl.run`.
         """
         config, before = self.config, self.crawl.progress(rows)
@@ -198,7 +198,7 @@ class Episodes:
 
         moved_m = after.distance_m - before.distance_m
         diverged, failed = after.failure == Failure.DIVERGED, after.failure != Failure.NONE
-        moved_m[diverged] = 0.0  # a position after divergence means nothing
+        moved_m[diverged] = 0.0  # positions after a divergence are meaningless
         forward = config.forward_reward_weight * moved_m
         ctrl = -config.ctrl_cost_weight * (after.energy_j - before.energy_j)
         failure = -config.failure_cost * (failed & (before.failure == Failure.NONE))
@@ -213,10 +213,10 @@ class Episodes:
         )
 
     def check_actions(self, actions: Any, count: int) -> Array:
-        """Return the actions of `count` robots as an array: (count,) and the shape of `action_space`.
+        """Return the actions of `count` robots as an array of shape (count, *action_space.shape).
 
         Raises:
-            TimingError: wrong shape, not finite, or in switch mode not 0 or 1.
+            TimingError: the shape is wrong, or a value is not finite or, in switch mode, not 0 or 1.
         """
         expected = (count, *self.action_space.shape)
         try:
@@ -236,7 +236,7 @@ class Episodes:
         return array
 
     def _power(self, actions: Array) -> Array:
-        """Share of the drive power in the next environment step, (R, steps, springs)."""
+        """Return the share of the drive power in the next environment step, (R, steps, springs)."""
         if self.config.action_mode == "switch":
             return np.repeat(actions[:, None], self._step_intervals * STEPS_PER_INTERVAL, axis=1)
         timings = GaitTimings.from_action(
@@ -248,7 +248,7 @@ class Episodes:
         seen = observe(
             self.config.physics, state, progress.heading_rad, self._scaled_bodies[rows], self._clock_s
         )
-        # Only a diverging robot comes near the limit, or gives NaN.
+        # Only a diverging robot reaches the limit or has NaN.
         if not (np.abs(seen) < OBSERVATION_LIMIT).all():
             seen = np.clip(np.nan_to_num(seen), -OBSERVATION_LIMIT, OBSERVATION_LIMIT)
         return seen
@@ -285,14 +285,15 @@ class Episodes:
 
 
 def read_morphologies(value: Any, num_envs: int) -> list[Morphology]:
-    """Return a body for each of `num_envs` robots.
+    """Return the bodies of `num_envs` robots.
 
     Args:
-        value: one body for all (as for `Morphology.of`), a sequence of them, or an array (num_envs, 8).
+        value: one body for all robots (as for `Morphology.of`), a sequence of bodies, or an array of
+            shape (num_envs, 8).
         num_envs: number of robots.
 
     Raises:
-        MorphologyError: a body is not usable, or their number is wrong.
+        MorphologyError: a body is invalid, or the number of bodies is wrong.
     """
     if not isinstance(value, (Morphology, Mapping, Sequence)):
         value = np.atleast_1d(value)
@@ -300,8 +301,8 @@ def read_morphologies(value: Any, num_envs: int) -> list[Morphology]:
         return [Morphology.of(value)] * num_envs
     if len(value) != num_envs:
         raise MorphologyError(
-            f"give one morphology for all, or {num_envs} of them (a list, or an array of shape "
-            f"({num_envs}, 8)); got {len(value)}"
+            f"morphology must be one body for all robots, a list of {num_envs} bodies, or an array of "
+            f"shape ({num_envs}, 8); got {len(value)}"
         )
     return [Morphology.of(v) for v in value]
 
@@ -310,7 +311,7 @@ def check_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) -> 
     """Return the reset options as a new dict.
 
     Raises:
-        SimulationError: not a mapping, or a key that is not in `known`.
+        SimulationError: `options` is not a mapping, or a key is not in `known`.
     """
     if options is None:
         return {}

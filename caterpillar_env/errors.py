@@ -1,4 +1,4 @@
-"""Errors that a caller can fix; each says what was expected, what was given and what to do."""
+"""Errors that a caller can fix. Each message states the expected value, the given value and a fix."""
 
 from __future__ import annotations
 
@@ -10,36 +10,37 @@ T = TypeVar("T")
 
 
 class CaterpillarError(ValueError):
-    """Base class of all errors that this project raises on purpose."""
+    """Base class of the errors of this project."""
 
 
 class MorphologyError(CaterpillarError):
-    """A body parameter is missing, unknown, not finite or outside its bounds."""
+    """A body parameter is missing, unknown, not finite or out of bounds."""
 
 
 class TimingError(CaterpillarError):
-    """Times have the wrong shape, are not finite or out of range, or are no whole number of steps."""
+    """Times have the wrong shape, are not finite or out of range, or are not a multiple of the step."""
 
 
 class PhysicsError(CaterpillarError):
-    """A physical or numerical setting of the robot is not usable."""
+    """A physical or numerical parameter is invalid."""
 
 
 class SimulationError(CaterpillarError):
-    """A simulation cannot do what was asked: wrong settings, rows, shapes or order of calls."""
+    """A simulation got invalid settings, rows or shapes, or was called in the wrong order."""
 
 
 def from_mapping(kind: type[T], value: Any, what: str, error: type[CaterpillarError]) -> T:
-    """Make a dataclass from some of its fields; the others keep their defaults.
+    """Create a dataclass from a mapping of fields. Missing fields keep their defaults.
 
     Args:
         kind: the dataclass.
         value: mapping of field names to values.
-        what: name of the dataclass in messages.
-        error: raised if `value` is not a mapping, has an unknown field, or text in place of a number.
+        what: name of the dataclass for error messages.
+        error: error class to raise if `value` is not a mapping, has an unknown field, or has a string
+            where a number is expected.
     """
     if not isinstance(value, Mapping):
-        raise error(f"{what} takes a mapping of its fields; got {value!r}")
+        raise error(f"{what} must be a mapping of its fields; got {value!r}")
     known = {f.name: type(f.default) for f in fields(kind)}  # type: ignore[arg-type]
     if unknown := set(value) - set(known):
         got = ", ".join(sorted(map(str, unknown)))
@@ -51,7 +52,7 @@ def from_mapping(kind: type[T], value: Any, what: str, error: type[CaterpillarEr
 
 
 def check_choice(name: str, value: Any, choices: Any, error: type[CaterpillarError]) -> None:
-    """Raise `error` unless a value is one of a `Literal`'s."""
+    """Raise `error` unless `value` is one of the values of the `Literal` type `choices`."""
     known = get_args(choices)
     if value not in known:
         raise error(f"{name} = {value!r} must be one of {', '.join(known)}")

@@ -15,12 +15,12 @@ T = TypeVar("T")
 
 
 class FileError(CaterpillarError):
-    """A file or folder cannot be made where it is wanted."""
+    """A file or folder cannot be written."""
 
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Raise a `FileError` with advice if a file or folder cannot be written.
+    """Turn errors from writing to `path` into a `FileError` with advice.
 
     Raises:
         FileError: the block raised an OSError or a ValueError.
@@ -35,14 +35,14 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def make_folder(path: Path, otherwise: str) -> None:
-    """Make a folder; it may exist if it is empty.
+    """Create a folder. An existing empty folder is accepted.
 
     Args:
-        path: of the folder.
-        otherwise: further advice for the message if the folder is not empty.
+        path: path of the folder.
+        otherwise: advice to append to the message if the folder is not empty.
 
     Raises:
-        FileError: the folder is not empty, or cannot be made.
+        FileError: the folder is not empty or cannot be created.
     """
     with writing(path):
         path.mkdir(parents=True, exist_ok=True)
@@ -51,7 +51,7 @@ def make_folder(path: Path, otherwise: str) -> None:
 
 
 def unused(parent: Path, name: str) -> Path:
-    """Return a path in `parent` that does not exist yet, numbered if necessary."""
+    """Return a path in `parent` that does not exist: `name`, or `name` with a number."""
     number = 1
     while (folder := parent / (name if number == 1 else f"{name}-{number}")).exists():
         number += 1
@@ -59,7 +59,7 @@ def unused(parent: Path, name: str) -> Path:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write a JSON file completely or not at all."""
+    """Write a JSON file atomically."""
     partial = path.with_name(f".{path.name}.partial")
     partial.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
     os.replace(partial, path)
@@ -72,14 +72,14 @@ def read(
     missing: str,
     parse: Callable[[str], Any] = json.loads,
 ) -> T:
-    """Read a file.
+    """Read, parse and convert a text file.
 
     Args:
-        path: of the file.
-        make: makes the result from the parsed text.
-        error: raised if the file is missing or not usable.
+        path: path of the file.
+        make: function that converts the parsed data to the result.
+        error: error class to raise if the file is missing or invalid.
         missing: advice for the message if the file is missing.
-        parse: parses the text.
+        parse: function that parses the text.
     """
     try:
         data = parse(path.read_text(encoding="utf-8"))

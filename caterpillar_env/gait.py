@@ -16,39 +16,39 @@ from numpy.typing import NDArray
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import TimingError
 
-#: Default gait period: a spring takes about 1 s to heat and 2.8 s to cool by nine tenths; six periods
-#: make up the paper's 30 s.
+#: Default gait period: a spring takes about 1 s to heat and 2.8 s to cool by 90 %. An episode of 30 s
+#: has six periods.
 GAIT_PERIOD_S = 5.0
 SPRINGS_PER_GAP = 4
 PAIRS_PER_GAP = 2
 
 
 def spring_names(num_segments: int) -> list[str]:
-    """Names of the springs in their order, e.g. `gap1_dorsal_left`; gap 1 is behind the head."""
+    """Return the spring names in order, e.g. `gap1_dorsal_left`. Gap 1 is behind the head."""
     return [f"{pair}_{side}" for pair in pair_names(num_segments) for side in ("left", "right")]
 
 
 def pair_names(num_segments: int) -> list[str]:
-    """Names of the mirrored pairs in their order, e.g. `gap1_dorsal`."""
+    """Return the names of the mirrored pairs in order, e.g. `gap1_dorsal`."""
     return [f"gap{g + 1}_{height}" for g in range(num_segments - 1) for height in ("dorsal", "ventral")]
 
 
 def mirror(pairs: Array) -> Array:
-    """Values of the springs from those of the pairs, along the last axis: (..., P) to (..., 2 P)."""
+    """Repeat the value of each pair for its two springs, along the last axis: (..., P) to (..., 2 P)."""
     return np.repeat(pairs, SPRINGS_PER_GAP // PAIRS_PER_GAP, axis=-1)
 
 
 @dataclass(frozen=True)
 class GaitTimings:
-    """On and off times of any number of springs in one shared period.
+    """On and off times of any number of springs with a common period.
 
-    A spring is powered from `on_s` to `off_s`, past the end of the period when `off_s` < `on_s`, and
-    never when both are equal.
+    A spring is powered from `on_s` to `off_s`. If `off_s` < `on_s`, the powered time continues past the
+    end of the period. If both are equal, the spring is never powered.
 
     Args:
         period_s: gait period, s.
-        on_s: times of switching on, in [0, period_s], shape (..., springs).
-        off_s: times of switching off, in [0, period_s], same shape.
+        on_s: switch-on times, s, in [0, period_s], shape (..., springs).
+        off_s: switch-off times, s, in [0, period_s], same shape.
 
     Raises:
         TimingError: shapes differ, or a time is not finite or outside [0, period_s].
@@ -73,20 +73,21 @@ class GaitTimings:
             object.__setattr__(self, name, times)
         if self.on_s.shape != self.off_s.shape:
             raise TimingError(
-                f"on_s and off_s must have one shape; got {self.on_s.shape} and {self.off_s.shape}"
+                f"on_s and off_s must have the same shape; got {self.on_s.shape} and {self.off_s.shape}"
             )
 
     @classmethod
     def from_action(
         cls, action: NDArray[Any], period_s: float, *, mirrored: bool = False
     ) -> GaitTimings:
-        """Timings from an action.
+        """Create timings from an action.
 
         Args:
             action: on and off time of each of n springs in turn, shape (..., 2 n). -1 is the start of
-                the period and 1 its end; values beyond are clipped.
+                the period and 1 its end; values outside are clipped.
             period_s: gait period, s.
-            mirrored: whether the action times mirrored pairs; the result times their 2 n springs.
+            mirrored: whether the action holds times of n mirrored pairs. The result then holds times of
+                their 2 n springs.
         """
         times = np.clip((np.asarray(action, dtype=np.float64) + 1.0) * 0.5 * period_s, 0.0, period_s)
         on_s, off_s = times[..., 0::2], times[..., 1::2]
@@ -98,21 +99,21 @@ class GaitTimings:
         return (2.0 * times / self.period_s - 1.0).astype(np.float32)
 
     def mirrored(self) -> GaitTimings:
-        """Return the timings of the springs, where these are those of mirrored pairs."""
+        """Return the timings of the springs from these timings of mirrored pairs."""
         return GaitTimings(self.period_s, mirror(self.on_s), mirror(self.off_s))
 
     def of_springs(self, num_springs: int) -> GaitTimings:
-        """Return the timings of all springs, from those of the springs or of the mirrored pairs.
+        """Return the timings of all springs. `self` holds those of the springs or of mirrored pairs.
 
         Raises:
-            TimingError: the number of times is neither that of springs nor that of pairs.
+            TimingError: the number of times matches neither the springs nor the pairs.
         """
         given = self.on_s.shape[-1] if self.on_s.ndim else 0
         if given == num_springs:
             return self
         if given * SPRINGS_PER_GAP != num_springs * PAIRS_PER_GAP:
             raise TimingError(
-                f"a gait has times of {num_springs} springs or {num_springs // 2} mirrored pairs; "
+                f"a gait must have times of {num_springs} springs or {num_springs // 2} mirrored pairs; "
                 f"got {given}"
             )
         return self.mirrored()
@@ -142,7 +143,7 @@ def count_steps(duration_s: float, step_s: float, what: str) -> int:
     """Return the number of steps in a duration.
 
     Raises:
-        TimingError: not a whole number of steps, 1 or more; the message names the duration `what`.
+        TimingError: the duration is not a positive multiple of `step_s`. The message calls it `what`.
     """
     finite = isinstance(duration_s, (int, float, np.number)) and np.isfinite(duration_s)
     count = round(duration_s / step_s) if finite else 0

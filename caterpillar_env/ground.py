@@ -16,7 +16,7 @@ from caterpillar_env.arrays import Array
 
 #: Contact bits of the feet and of the skin.
 FOOT, SKIN = 1, 2
-#: Initial depth of the feet in the ground, so that all touch it in spite of rounding errors.
+#: Initial depth of the feet in the ground. All feet then touch it despite rounding errors.
 STANCE_M = 1e-9
 _PLANES = {"ground": FOOT, "ground_skin": SKIN}
 _FORCE = 1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value
@@ -46,7 +46,7 @@ def add_ground(spec: mujoco.MjSpec) -> mujoco.MjsGeom:
 def condim(friction: float) -> int:
     """Return MuJoCo's contact dimensionality: 3 with friction, 1 (normal force only) without.
 
-    With `condim` 3, MuJoCo raises a friction of 0 to 1e-5, which moves a robot by millimetres in 30 s.
+    With `condim` 3, MuJoCo raises a friction of 0 to 1e-5. That moves a robot by millimetres in 30 s.
     """
     return 3 if friction > 0 else 1
 

@@ -24,7 +24,7 @@ from caterpillar_env.sma import SmaSpring
 
 FOOT_RADIUS_M = 0.002
 ELEMENTS_PER_SEGMENT = 2
-#: Impedance of the joint stops, at first contact and at full penetration: nearly rigid.
+#: Impedance of the joint stops at first contact and at full penetration. The stops are nearly rigid.
 _STOP_IMPEDANCE = (0.99, 0.999)
 _BEND_AXES = {"yaw": [0, 0, 1], "pitch": [0, 1, 0]}
 
@@ -42,14 +42,14 @@ def build_model(body: Body, physics: Physics, *, scenery: bool = True) -> mujoco
     """Compile a robot that stands straight along x on flat ground.
 
     Args:
-        body: one morphology, or one per segment. All segments stand on their feet; where the heights of
-            their axes differ, the neck is halfway between.
+        body: one morphology, or one per segment. All segments stand on their feet. If the axes of two
+            segments differ in height, the neck is halfway between them.
         physics: material, numerics and number of segments.
-        scenery: whether to add cameras, light, ground texture, ruler and legs for drawing. They take
-            most of the build time and of the model's memory.
+        scenery: whether to add cameras, light, ground texture, ruler and legs for drawing. They cause
+            most of the build time and memory use.
 
     Returns:
-        A model whose sizes depend on `physics.num_segments` alone. Bodies are `element0` (head) to
+        A model whose sizes depend only on `physics.num_segments`. Bodies are `element0` (head) to
         `element{2N-1}`. Tendons and actuators are named by `gait.spring_names`. The control is the
         austenite fraction, in [0, 1].
     """
@@ -59,15 +59,14 @@ def build_model(body: Body, physics: Physics, *, scenery: bool = True) -> mujoco
 def model_xml(body: Body, physics: Physics) -> str:
     """Return a robot with scenery as MJCF, for use in MuJoCo without this package.
 
-    Arguments are those of `build_model`. Numbers are written with full precision, so that the XML
-    compiles to the same model, apart from the ruler's picture and the zeros in the springs' Jacobians
-    that `trim_tendons` removes.
+    For the arguments, see `build_model`. Numbers have full precision, so the XML compiles to the same
+    model. Only the ruler's texture and the effect of `trim_tendons` are missing.
     """
     builder = ModelBuilder(physics)
     builder.build(body)
     spec: Any = builder.spec
     remove_ruler_picture(spec)
-    spec.compiler.savecompiled = False  # the compiled values would be written with fewer digits
+    spec.compiler.savecompiled = False  # compiled values have fewer digits
     return str(spec.to_xml())
 
 
@@ -81,9 +80,9 @@ class ModelBuilder:
     def __init__(self, physics: Physics, *, scenery: bool = True) -> None:
         self._physics, self._scenery = physics, scenery
         self._segments: tuple[Morphology, ...] = ()
-        self.spec: mujoco.MjSpec | None = None  #: of the last robot
+        self.spec: mujoco.MjSpec | None = None  #: spec of the last robot
         self._parts: list[Any] = []  # the robot's parts in the spec, in the order of creation
-        self._existing: Iterator[Any] = iter(())  # those not yet updated for the current body
+        self._existing: Iterator[Any] = iter(())  # parts not yet updated for the body
 
     def build(self, body: Body) -> mujoco.MjModel:
         """Compile a robot."""
@@ -197,7 +196,7 @@ class ModelBuilder:
         return [linear, 0.0, linear * self._physics.neck_stiffening / limit_rad**2]
 
     def _add_feet(self, body: mujoco.MjsBody, segment: int, m: Morphology) -> None:
-        """Add feet, and massless legs that are only drawn."""
+        """Add feet and, with scenery, massless legs without contacts."""
         for side, sign in (("left", 1), ("right", -1)):
             lateral = sign * m.leg_separation_m / 2
             foot = [0, lateral, FOOT_RADIUS_M - 2 * m.segment_radius_m]
@@ -223,7 +222,8 @@ class ModelBuilder:
     def _add_anchors(self, body: mujoco.MjsBody, segment: int, m: Morphology) -> None:
         """Add the attachments of the springs.
 
-        Springs to the segment behind are attached at the front, those to the segment ahead at the rear.
+        Springs to the segment behind are attached at the front. Springs to the segment ahead are
+        attached at the rear.
         """
         ends = [("front", 1)] if segment < self._physics.num_segments - 1 else []
         ends += [("rear", -1)] if segment > 0 else []
@@ -241,11 +241,11 @@ def trim_tendons(model: mujoco.MjModel) -> None:
     """Reduce each spring's Jacobian to the joints between the two elements that it connects.
 
     MuJoCo stores a column for every joint from the ends of a tendon to the root, although the columns of
-    joints above both ends are always zero. Newton's solver processes all columns in each iteration,
-    which more than doubles the cost of a step.
+    joints above both ends are always zero. The Newton solver processes all columns in each iteration.
+    Trimming makes a step more than twice as fast.
     """
     ends = np.sort(model.site_bodyid[model.wrap_objid].reshape(-1, 2), axis=1)
-    inside = np.searchsorted(model.dof_bodyid, ends, side="right")  # of the joints: start, stop
+    inside = np.searchsorted(model.dof_bodyid, ends, side="right")  # first and last joint index
     for tendon, (first, last) in enumerate(inside.tolist()):
         address = model.ten_J_rowadr[tendon]  # rows keep their address and become shorter
         model.ten_J_colind[address : address + last - first] = range(first, last)

@@ -25,8 +25,8 @@ class Parameter(NamedTuple):
     description: str
 
 
-#: The eight parameters in the paper's order. The paper does not publish its bounds; for the source of
-#: these, see docs/sources.md.
+#: The eight parameters in the paper's order. The paper does not publish bounds; docs/sources.md gives
+#: the source of the bounds used here.
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter("leg_separation_m", "w", "m", 0.008, 0.024, 0.016, "lateral separation of the feet"),
     Parameter("segment_length_m", "L", "m", 0.022, 0.036, 0.030, "length of one segment"),

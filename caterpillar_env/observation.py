@@ -14,7 +14,7 @@ from caterpillar_env.morphology import NAMES
 from caterpillar_env.physics import Physics
 from caterpillar_env.pose import BodyState
 
-# Typical magnitudes: entries of an observation are divided by them.
+# Typical magnitudes, by which the entries of an observation are divided.
 _AXIAL_SCALE_M = 0.003
 _ANGLE_SCALE_RAD = 0.3
 _VELOCITY_SCALE_M_S = 0.02
@@ -49,7 +49,7 @@ def observation_names(physics: Physics, *, clock: bool) -> list[str]:
 
 @lru_cache
 def _joint_scales(num_segments: int) -> Array:
-    """Return the scales of the positions and velocities of the internal joints, (2, J)."""
+    """Return the position and velocity scales of the internal joints, (2, J)."""
     return np.array(
         [
             (_AXIAL_SCALE_M, _VELOCITY_SCALE_M_S)
@@ -72,7 +72,7 @@ def observe(
     Args:
         physics: physics of the robots.
         state: positions, velocities and spring states.
-        heading_rad: heading relative to the start, (R,).
+        heading_rad: heading relative to the start, rad, (R,).
         morphology: body parameters scaled to [-1, 1], (R, 8).
         clock_period_s: gait period for the phase entries, s; None omits them.
     """

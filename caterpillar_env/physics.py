@@ -1,4 +1,4 @@
-"""Parameters of the robot's material and of the simulation: everything that is not evolved."""
+"""Parameters of the robot's material and of the simulation. Evolution does not change them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from caterpillar_env.errors import PhysicsError, TimingError, check_choice, from
 from caterpillar_env.gait import SPRINGS_PER_GAP, count_steps
 from caterpillar_env.sma import SmaSpring
 
-#: Thermal step: interval at which the springs' temperatures and the actuator controls are updated.
+#: Thermal step: interval between updates of the spring temperatures and the actuator controls.
 SMA_STEP_S = 0.01
-#: Control interval: how often failures are checked and, in switch mode, the power may change.
+#: Control interval: time between failure checks and, in switch mode, between changes of the power.
 CONTROL_INTERVAL_S = 0.1
 GRAVITY_M_S2 = 9.81
 
@@ -42,27 +42,27 @@ class Physics:
 
     num_segments: int = 4  #: number of segments, at least 2
     spring: SmaSpring = field(default_factory=SmaSpring)
-    neck_stiffness_n_m_rad: float = 6e-3  #: of a neck between two segments, silicone (Dragon Skin 10)
-    neck_stiffening: float = 5.0  #: at the joint limit the moment is (1 + this) times linear
-    neck_damping_n_m_s_rad: float = 2e-4  #: silicone, friction of coils and anchors
-    axial_stiffness_n_m: float = 500.0  #: of the prismatic joint within a segment
-    axial_damping_n_s_m: float = 1.0  #: of the same joint
-    axial_range: float = 0.15  #: travel of that joint either way, as a share of the segment length
+    neck_stiffness_n_m_rad: float = 6e-3  #: linear stiffness of a neck, silicone (Dragon Skin 10)
+    neck_stiffening: float = 5.0  #: relative cubic moment of a neck at its joint limit
+    neck_damping_n_m_s_rad: float = 2e-4  #: neck damping by silicone, coils and anchors
+    axial_stiffness_n_m: float = 500.0  #: stiffness of the prismatic joint in a segment
+    axial_damping_n_s_m: float = 1.0  #: damping of that joint
+    axial_range: float = 0.15  #: travel of that joint in both directions / segment length
     bend_ratio: float = 2.0  #: stiffness and damping of the intra-segment hinge, relative to a neck
-    bend_axis: BendAxis = "yaw"  #: axis of the intra-segment hinge; not given in the paper
+    bend_axis: BendAxis = "yaw"  #: axis of the intra-segment hinge (our choice)
     friction: float = 0.8  #: coefficient of feet and elements on the ground
-    mismatch_std: float = 0.05  #: standard deviation of the springs' strengths, relative
-    mismatch_seed: int = 0  #: seed of the strengths
-    spring_strengths: tuple[float, ...] | None = None  #: of each spring; random if None
+    mismatch_std: float = 0.05  #: relative standard deviation of the spring strengths
+    mismatch_seed: int = 0  #: random seed of the spring strengths
+    spring_strengths: tuple[float, ...] | None = None  #: force factors; None: random
     timestep_s: float = 0.0025  #: physics timestep; must divide 0.01
-    integrator: Integrator = "discrete"  #: MuJoCo's; use rk4 with 0.25 ms
-    solver: Solver = "newton"  #: MuJoCo's constraint solver
-    cone: Cone = "elliptic"  #: MuJoCo's friction cone
-    impratio: float = 100.0  #: MuJoCo's; large values reduce slip
+    integrator: Integrator = "discrete"  #: MuJoCo integrator; use rk4 with 0.25 ms
+    solver: Solver = "newton"  #: MuJoCo constraint solver
+    cone: Cone = "elliptic"  #: MuJoCo friction cone
+    impratio: float = 100.0  #: MuJoCo impedance ratio; large values reduce slip
     contact_time_constant_s: float = 0.01  #: softness of the ground
     stop_time_constant_s: float = 0.005  #: softness of the joint stops; two timesteps
-    solver_tolerance: float = 1e-8  #: MuJoCo's
-    solver_iterations: int = 100  #: MuJoCo's maximum
+    solver_tolerance: float = 1e-8  #: MuJoCo solver tolerance
+    solver_iterations: int = 100  #: maximum number of MuJoCo solver iterations
 
     def __post_init__(self) -> None:
         if not isinstance(self.spring, SmaSpring):
@@ -110,7 +110,7 @@ class Physics:
 
     @classmethod
     def of(cls, value: Physics | Mapping[str, Any] | None) -> Physics:
-        """Return `value` as `Physics`; fields that a mapping leaves out keep their defaults.
+        """Return `value` as a `Physics`. Fields that are missing in a mapping keep their defaults.
 
         Raises:
             PhysicsError: a field is unknown or its value is invalid.
@@ -120,14 +120,15 @@ class Physics:
         return from_mapping(cls, value or {}, "physics", PhysicsError)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all fields by name, those of the spring nested, for JSON."""
+        """Return all fields by name, for JSON. `spring` is a nested mapping."""
         return asdict(self)
 
     def strengths(self) -> Array:
-        """Return the factor on each spring's force, shape (num_springs,): the actuator mismatch.
+        """Return the factor on the force of each spring (actuator mismatch), shape (num_springs,).
 
-        Without `spring_strengths` the factors are normal, with mean 1 and `mismatch_std`. A perfectly
-        symmetric robot with a mirrored gait would never turn, and the paper's yaw criterion never apply.
+        Without `spring_strengths`, the factors have a normal distribution with mean 1 and standard
+        deviation `mismatch_std`. Without mismatch, a robot with a mirrored gait would never turn, and
+        the paper's yaw criterion would never apply.
         """
         if self.spring_strengths is not None:
             return np.array(self.spring_strengths)
@@ -136,5 +137,5 @@ class Physics:
 
 
 def mismatched(std: float, normal: Array) -> Array:
-    """Return strengths 1 + std * normal, but at least 0.1, from standard normal samples."""
+    """Return the strengths max(1 + std * normal, 0.1), where `normal` are standard normal samples."""
     return np.maximum(1.0 + std * normal, 0.1)

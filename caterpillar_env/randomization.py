@@ -1,7 +1,7 @@
-"""Domain randomization: sample friction, mismatch, mass and air temperature at each reset.
+"""Domain randomization of friction, actuator mismatch, mass and air temperature at each reset.
 
-`Randomization` holds the ranges, `Conditions` one sample, and `apply_conditions` returns a model with
-those conditions.
+`Randomization` holds the ranges and `Conditions` one sample. `apply_conditions` applies a sample to a
+model.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ class Conditions(NamedTuple):
     """Conditions of one episode."""
 
     friction: float  #: coefficient of feet and elements on the ground
-    strengths: tuple[float, ...]  #: factor on each spring's force
+    strengths: tuple[float, ...]  #: factor on the force of each spring
     mass: float  #: factor on the mass of the body
     ambient_c: float  #: air temperature, degC
 
 
 @dataclass(frozen=True)
 class Randomization:
-    """Ranges of the conditions, sampled uniformly at each reset; None keeps the value of `Physics`.
+    """Ranges to sample conditions from, uniformly, at each reset. None keeps the value of `Physics`.
 
     Raises:
-        PhysicsError: a range is not two numbers in increasing order, or is out of bounds.
+        PhysicsError: a range is not a pair of increasing numbers, or is out of bounds.
     """
 
     friction: Range | None = None  #: coefficient of feet and elements on the ground
-    mismatch_std: Range | None = None  #: standard deviation from which new spring strengths are sampled
+    mismatch_std: Range | None = None  #: standard deviation of newly sampled spring strengths
     spring_force: Range | None = None  #: factor on the force of all springs
     mass: Range | None = None  #: factor on the mass of the body
     ambient_c: Range | None = None  #: air temperature, degC
@@ -75,10 +75,10 @@ class Randomization:
         return None if value == cls() else value
 
     def check(self, physics: Physics) -> None:
-        """Check that springs can cool down at every air temperature of the range.
+        """Check that springs can cool down at every air temperature in the range.
 
         Raises:
-            PhysicsError: `ambient_c` reaches the temperature at which springs finish cooling.
+            PhysicsError: `ambient_c` reaches the martensite finish temperature Mf.
         """
         finish_c = physics.spring.martensite_finish_c
         if self.ambient_c is not None and self.ambient_c[1] >= finish_c:
@@ -88,7 +88,7 @@ class Randomization:
             )
 
     def draw(self, physics: Physics, rng: np.random.Generator) -> Conditions:
-        """Sample the conditions of one episode. Every sample takes the same number of random draws."""
+        """Sample the conditions of one episode. The number of random draws is always the same."""
         share = rng.uniform(size=len(fields(self)))
         normal = rng.standard_normal(physics.num_springs)
 
@@ -117,7 +117,7 @@ _MINIMUM = {
 
 
 def apply_conditions(model: mujoco.MjModel, physics: Physics, conditions: Conditions) -> mujoco.MjModel:
-    """Return a copy of `model` under `conditions`. `ambient_c` affects the springs, not the model."""
+    """Return a copy of `model` with `conditions`. `ambient_c` affects only the springs."""
     changed = copy.copy(model)
     changed.geom_friction[:, 0] = conditions.friction
     changed.geom_condim[:] = condim(conditions.friction)

@@ -1,11 +1,11 @@
-"""Robots: a body with its gait and physics, and the outcome of letting it crawl for 30 s."""
+"""Robots with body, gait and physics, and the outcomes of their simulation for 30 s."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -34,18 +34,18 @@ class Outcomes(NamedTuple):
     """Outcomes of P robots."""
 
     failure: NDArray[np.int8]  #: values of `Failure`, (P,)
-    distance_m: Array  #: until the end or the failure; 0 where it is not finite, (P,)
-    energy_j: Array  #: electrical, (P,)
-    simulated_s: Array  #: until the end or the failure, (P,)
+    distance_m: Array  #: distance until the end or the failure; 0 if it is not finite, (P,)
+    energy_j: Array  #: electrical energy, (P,)
+    simulated_s: Array  #: simulated time until the end or the failure, (P,)
 
     @classmethod
     def of(cls, end: Progress) -> Outcomes:
-        """Outcomes of robots that have failed or reached the end."""
+        """Create the outcomes of robots from their final progress."""
         distance_m = np.where(np.isfinite(end.distance_m), end.distance_m, 0.0)
         return cls(end.failure, distance_m, end.energy_j, end.time_s)
 
     def fitness(self, failed_fitness: float = 0.0) -> Array:
-        """Distance in m, not below 0; `failed_fitness` for a failure, (P,)."""
+        """Return the distance in m, at least 0, or `failed_fitness` for a failed robot, (P,)."""
         ok = self.failure == Failure.NONE
         return np.where(ok, np.maximum(self.distance_m, 0.0), failed_fitness)
 
@@ -58,45 +58,49 @@ def simulate(
     threads: int = 0,
     duration_s: float = EPISODE_S,
     on_interval: OnInterval | None = None,
+    on_progress: Callable[[float], None] | None = None,
 ) -> Outcomes:
     """Simulate P robots, each until it fails.
 
     Args:
-        bodies: one for each robot.
-        timings: of their springs or mirrored pairs, arrays of shape (P, springs) or (P, pairs).
-        physics: material, numerics, number of segments.
-        threads: 0 means all usable cores; the results do not depend on it.
-        duration_s: simulated time, a multiple of 0.1 s.
-        on_interval: called with the trace of every control interval.
+        bodies: body of each robot.
+        timings: timings of springs or mirrored pairs, arrays of shape (P, springs) or (P, pairs).
+        physics: material, numerics and number of segments.
+        threads: number of threads; 0 means all usable cores. The results do not depend on it.
+        duration_s: simulated time, s, a multiple of 0.1 s.
+        on_interval: function to call with the trace of every control interval.
+        on_progress: function to call with the simulated share of the duration, in [0, 1].
     """
     count_steps(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
     steps = count_steps(duration_s, CONTROL_INTERVAL_S, "the duration") * STEPS_PER_INTERVAL
     power = timings.of_springs(physics.num_springs).power(SMA_STEP_S)
     crawl = Crawl(bodies, physics, threads)
-    # Some intervals at a time, so that no array of the whole 30 s is made.
+    # Simulate a few intervals at a time to limit memory.
     first = 0
     while first < steps:
         phase = first % power.shape[1]
         part = power[:, phase : phase + min(_CHUNK_STEPS, steps - first)]
         crawl.run(part, on_interval=on_interval)
         first += part.shape[1]
+        if on_progress is not None:
+            on_progress(first / steps)
     return Outcomes.of(crawl.progress())
 
 
 class AnyRobot(Protocol):
-    """What videos and comparisons need of a robot: a `Robot`, or one driven by a trained policy."""
+    """Interface of robots for videos and comparisons: a `Robot`, or one with a trained policy."""
 
     @property
     def morphology(self) -> Body:
-        """The body."""
+        """Body of the robot."""
 
     @property
     def physics(self) -> Physics:
-        """The physics that it was evaluated in."""
+        """Physics of the evaluation."""
 
     @property
     def fitness_m(self) -> float | None:
-        """The recorded fitness, m."""
+        """Recorded fitness, m."""
 
     @property
     def digest(self) -> str:
@@ -105,25 +109,25 @@ class AnyRobot(Protocol):
     def simulate(
         self, timestep_s: float | None = None, *, on_interval: OnInterval | None = None
     ) -> Outcomes:
-        """Simulate the robot, at another timestep if one is given; see `simulate`."""
+        """Simulate the robot, with a different timestep if `timestep_s` is given; see `simulate`."""
 
     def save(self, path: Path) -> None:
-        """Write the robot as JSON, with further files beside it if it has any."""
+        """Write the robot as JSON. A policy writes its other files beside it."""
 
 
 @dataclass(frozen=True)
 class Robot:
-    """A body with its gait, and the physics that it was evaluated in."""
+    """A body, its gait, and the physics of its evaluation."""
 
     morphology: Body
-    timings: GaitTimings  #: of the mirrored pairs or the springs, arrays of shape (pairs,) or (springs,)
+    timings: GaitTimings  #: of mirrored pairs or springs, arrays of shape (pairs,) or (springs,)
     physics: Physics
-    fitness_m: float | None = None  #: as recorded
-    generation: int | None = None
-    evaluation: int | None = None  #: number in the journal of its run
+    fitness_m: float | None = None  #: recorded fitness
+    generation: int | None = None  #: generation in its run
+    evaluation: int | None = None  #: evaluation number in the journal of its run
 
     def simulate(self, timestep_s: float | None = None, **kwargs: Any) -> Outcomes:
-        """Simulate the robot, at another timestep if one is given; keywords as for `simulate`."""
+        """Simulate the robot, with a different timestep if given. For the keywords, see `simulate`."""
         physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
         return simulate([self.morphology], self.gaits, physics, **kwargs)
 
@@ -143,11 +147,11 @@ class Robot:
 
     @property
     def digest(self) -> str:
-        """Hash that identifies the robot, with its record."""
+        """Hash of the robot and its recorded evaluation."""
         return digest_of(self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the robot as plain JSON; names carry units."""
+        """Return the robot as a mapping for JSON. Names end with units."""
         body, timings = self.morphology, self.timings
         times = zip(self.timed, timings.on_s.tolist(), timings.off_s.tolist(), strict=True)
         return {
@@ -167,10 +171,10 @@ class Robot:
 
     @classmethod
     def from_dict(cls, data: Any) -> Robot:
-        """Read a robot from plain JSON.
+        """Create a robot from a mapping that was read from JSON.
 
         Raises:
-            CaterpillarError: a part is missing or unusable.
+            CaterpillarError: a field is missing or invalid.
         """
         if not isinstance(data, dict) or data.get("format") != FORMAT:
             raise RobotError(
@@ -209,7 +213,7 @@ class Robot:
         """Read a robot from its JSON file, or the best one from a run folder.
 
         Raises:
-            CaterpillarError: no such file, or no robot in it.
+            CaterpillarError: the file does not exist or does not describe a robot.
         """
         path, advice = Path(path), "give a run folder or the JSON file of one robot"
         if os.path.isdir(path):
@@ -225,10 +229,10 @@ class Robot:
 
 
 def _segment(data: Any) -> Morphology:
-    """Read the morphology of a segment; unlike `Morphology.of`, all parameters must be given."""
+    """Read the morphology of a segment. Unlike in `Morphology.of`, no parameter may be missing."""
     return Morphology.of({**dict.fromkeys(NAMES), **data} if isinstance(data, dict) else data)
 
 
 def digest_of(data: dict[str, Any]) -> str:
-    """Return a hash of plain JSON."""
+    """Return a hash of data that can be written as JSON."""
     return hashlib.blake2b(json.dumps(data).encode(), digest_size=16).hexdigest()

@@ -1,8 +1,8 @@
-"""Robots of one topology with different bodies, advanced together on MuJoCo's `Batch`.
+"""Simulation of robots with different bodies and the same topology on MuJoCo's `Batch`.
 
-This is the only place where the physics is stepped. A single environment is a batch of one; the vector
-environment and the fitness evaluation are larger batches. A robot's trajectory has the same bits in all
-of them, with any number of threads.
+No other module steps the physics. A single environment is a batch of one. The vector environment and
+the fitness evaluation use larger batches. The trajectory of a robot is bitwise identical in all of them,
+for any number of threads.
 """
 
 from __future__ import annotations
@@ -34,33 +34,33 @@ FREE_QPOS, FREE_QVEL = 7, 6  # sizes of the head's free joint; the internal join
 
 
 class Heating(NamedTuple):
-    """Springs of R robots over K thermal steps that the robots have yet to make."""
+    """Thermal states of the springs of R robots in the next K thermal steps."""
 
-    rows: Rows  #: of the robots, (R,)
+    rows: Rows  #: indices of the robots, (R,)
     springs: SmaStep  #: enthalpy and fraction after each step, (K, R, num_springs)
-    control: Array  #: mean fraction in each of n physics steps a thermal step, (R, K n, num_springs)
-    energy_j: Array  #: electrical energy of each step, (K, R)
+    control: Array  #: mean fraction in each physics step (n per thermal step), (R, K n, num_springs)
+    energy_j: Array  #: electrical energy of each thermal step, (K, R)
 
 
 class Simulation:
-    """Robots that share `physics`, each with a body of its own; at the start when made.
+    """Simulate robots with common physics and individual bodies. New robots are at the start.
 
     Args:
-        bodies: one for each of B robots; a robot's place is its row.
-        physics: material, numerics, number of segments.
-        threads: threads to step on; 0 means `machine.cores()`. The results do not depend on it.
+        bodies: bodies of B robots. The index of a robot is its row.
+        physics: material, numerics and number of segments.
+        threads: number of threads; 0 means `machine.cores()`. The results do not depend on it.
 
     Attributes:
-        bodies: the body of each row. Only `reset` changes it.
-        conditions: the conditions of each row; None stands for those of `physics`.
-        models: the compiled model of each row, without scenery.
-        engine: the MuJoCo `Batch` that steps the rows. A wrapper may take its place, to record calls.
-        energy_j: electrical energy of each row since its reset, (B,).
-        simulated_s: time simulated so far, summed over the rows.
+        bodies: body of each row. Only `reset` changes it.
+        conditions: conditions of each row; None means those of `physics`.
+        models: compiled model of each row, without scenery.
+        engine: the MuJoCo `Batch` that steps the rows. A wrapper that records calls may replace it.
+        energy_j: electrical energy of each row since its reset, J, (B,).
+        simulated_s: time simulated so far, summed over the rows, s.
 
     Raises:
-        SimulationError: no bodies, or a negative number of threads.
-        MorphologyError: a body does not have the physics' number of segments.
+        SimulationError: there are no bodies, or the number of threads is negative.
+        MorphologyError: the number of segments of a body differs from that of `physics`.
     """
 
     def __init__(self, bodies: Sequence[Body], physics: Physics, threads: int = 0) -> None:
@@ -73,7 +73,7 @@ class Simulation:
         self.physics = physics
         self.simulated_s = 0.0
         self._substeps = count_steps(SMA_STEP_S, physics.timestep_s, "the thermal step")
-        # Bodies that return (elites, the one body of a vector environment) are not built again.
+        # Cache models, because bodies recur (elites, vector environments with one body).
         self._build = lru_cache(_CACHED_BODIES)(ModelBuilder(physics, scenery=False).build)
         self.bodies = list(bodies)
         self.conditions: list[Conditions | None] = [None] * size
@@ -94,7 +94,7 @@ class Simulation:
         self._sma = SmaState.cold(physics.spring, (size, springs))
         self._steps = np.zeros(size, dtype=np.int64)  # thermal steps since reset
         self.energy_j = np.zeros(size)
-        self._load_n = np.zeros((size, 2))  # on feet and skin, mean over the last steps
+        self._load_n = np.zeros((size, 2))  # on feet and skin, mean of the last `advance`
         self.reset()
 
     def reset(
@@ -104,21 +104,23 @@ class Simulation:
         *,
         conditions: Sequence[Conditions] | None = None,
     ) -> None:
-        """Put robots back to the start: straight along x, at rest, springs cold.
+        """Return robots to the start: straight along x, at rest and with cold springs.
 
         Args:
-            bodies: one for each row that is reset; the present ones by default.
-            rows: which rows; all by default.
-            conditions: one for each row that is reset; those of `physics` by default.
+            bodies: new body of each of these robots. By default, bodies do not change.
+            rows: indices of the robots to reset, (R,); all by default.
+            conditions: conditions of each of these robots; those of `physics` by default.
 
         Raises:
-            SimulationError: the number of bodies is not the number of rows.
+            SimulationError: the number of bodies differs from the number of rows.
         """
         index = self.rows(rows)
         if bodies is None:
             bodies = [self.bodies[row] for row in index]
         if len(bodies) != len(index):
-            raise SimulationError(f"give one body for each of {len(index)} rows; got {len(bodies)}")
+            raise SimulationError(
+                f"bodies must have one entry for each of {len(index)} rows; got {len(bodies)}"
+            )
         met = [None] * len(index) if conditions is None else conditions
         changed = False
         for row, body, condition in zip(index.tolist(), bodies, met, strict=True):
@@ -152,13 +154,13 @@ class Simulation:
         qvel: Array | float = 0.0,
         standing: bool = False,
     ) -> None:
-        """Move robots to other poses. Springs and clock stay as they are.
+        """Move robots to given poses. Springs and time do not change.
 
         Args:
-            qpos: MuJoCo generalised positions, (R, nq): position and unit quaternion of the head, then
+            qpos: MuJoCo generalized positions, (R, nq): position and unit quaternion of the head, then
                 the internal joints (`model.joint_names`).
-            rows: which rows; all by default.
-            qvel: MuJoCo generalised velocities, (R, nv); at rest by default.
+            rows: indices of the robots to move, (R,); all by default.
+            qvel: MuJoCo generalized velocities, (R, nv); 0 by default.
             standing: whether to raise or lower each robot until its lowest point touches the ground.
 
         Raises:
@@ -175,13 +177,14 @@ class Simulation:
             self._refresh(index)
 
     def heat(self, power: Array, rows: Rows | None = None) -> Heating:
-        """Heat the springs of robots for K thermal steps of `SMA_STEP_S`, which `advance` then makes.
+        """Compute the springs of robots for the next K thermal steps, without moving the robots.
 
-        Temperatures do not depend on the motion; many steps in one call are faster.
+        Pass the result to `advance`. Temperatures do not depend on the motion, and one call for many
+        steps is faster than many calls.
 
         Args:
-            power: share of the drive power per step and spring, in [0, 1], (R, K, num_springs).
-            rows: which rows; all by default.
+            power: share of the drive power in each thermal step, in [0, 1], (R, K, num_springs).
+            rows: indices of the robots to heat, (R,); all by default.
 
         Raises:
             SimulationError: `power` has the wrong shape.
@@ -194,7 +197,7 @@ class Simulation:
             )
         before = SmaState(self._sma.enthalpy_j_kg[index], self._sma.fraction[index])
         steps = advance(spring, before, np.swapaxes(power, 0, 1), SMA_STEP_S, self._ambient_c[index])
-        # The fraction is linear between thermal steps; physics steps get its value in their middle.
+        # Interpolate the fraction between thermal steps, at the midpoints of the physics steps.
         nodes = np.concatenate([before.fraction[:, None], np.swapaxes(steps.fraction, 0, 1)], axis=1)
         fine = (nodes[:, 1:] - nodes[:, :-1])[:, :, None] * self._middles
         fine += nodes[:, :-1, None]  # (R, K, n, S)
@@ -212,20 +215,20 @@ class Simulation:
         *,
         trace: bool = False,
     ) -> Trace | None:
-        """Make the thermal steps from `first` to before `last` of those that have been heated, in turn.
+        """Advance robots by the thermal steps `first` to `last - 1` of `heating`.
 
         Args:
-            heating: what `heat` returned.
-            places: which of its robots to advance, in order; all by default.
-            first: 0, or `last` of the call before.
-            last: all steps by default.
-            trace: whether to return what is needed to draw the steps.
+            heating: return value of `heat`.
+            places: indices into `heating.rows` of the robots to advance, ascending; all by default.
+            first: first step. It must be 0 or the `last` of the previous call.
+            last: end of the steps; all steps by default.
+            trace: whether to record and return a trace of the steps.
         """
         springs, control, energy_j = heating.springs, heating.control, heating.energy_j
         last = len(energy_j) if last is None else last
         control = control[:, first * self._substeps : last * self._substeps]
         index: Rows = heating.rows
-        chosen: Rows | slice = slice(None)  # makes no copies
+        chosen: Rows | slice = slice(None)  # a slice makes no copies
         if places is not None and len(places) < len(index):
             index, chosen, control = index[places], places, control[places]
         record = self.engine.rollout(
@@ -240,7 +243,7 @@ class Simulation:
         self._sma.fraction[index] = springs.fraction[last - 1, chosen]
         loads = np.add.accumulate(loads_n(record["sensordata"]), axis=1)
         self._load_n[index] = loads[:, -1] / control.shape[1]
-        # Summed one after the other; `sum` would take another order for a single row.
+        # `np.sum` would add in a different order for a single row.
         before_j, used_j = self.energy_j[index], np.add.accumulate(energy_j[first:last, chosen])
         self.energy_j[index] = before_j + used_j[-1]
         if not trace:
@@ -253,18 +256,18 @@ class Simulation:
         )
 
     def _refresh(self, index: Rows) -> None:
-        """Update derived fields after the state was set by hand."""
+        """Update derived fields after a change of the state."""
         self.engine.forward(index, stage=_POSITIONS_AND_VELOCITIES)
 
     def diverged(self, rows: Rows | None = None) -> NDArray[np.bool_]:
-        """Whether the state is not finite, or MuJoCo has warned since reset, (R,)."""
+        """Return whether the state is not finite or MuJoCo has warned since reset, (R,)."""
         index = self.rows(rows)
         finite = np.isfinite(self._qpos[index]).all(axis=1) & np.isfinite(self._qvel[index]).all(axis=1)
         diverged: NDArray[np.bool_] = self._warning[index, :, 1].any(axis=1) | ~finite
         return diverged
 
     def pose(self, rows: Rows | None = None) -> Pose:
-        """Positions of the rows, as new arrays."""
+        """Return the positions of the rows as new arrays."""
         index = self.rows(rows)
         matrices = self._xmat[index, self._elements]
         axes = np.add.reduce(matrices, axis=1) / matrices.shape[1]  # row-major: x, y, z are columns
@@ -282,10 +285,10 @@ class Simulation:
         )
 
     def state(self, rows: Rows | None = None) -> BodyState:
-        """Positions and velocities of the rows, as new arrays."""
+        """Return the positions and velocities of the rows as new arrays."""
         index = self.rows(rows)
         pose = self.pose(index)
-        spatial = self._cvel[index, self._elements]  # angular; linear at the robot's centre of mass
+        spatial = self._cvel[index, self._elements]  # angular, then linear at the robot's centre of mass
         angular = spatial[..., :3]
         arm = self._xpos[index, self._elements] - pose.com_m[:, None]
         spatial[..., 3:] += _cross(angular, arm)
@@ -301,15 +304,15 @@ class Simulation:
         )
 
     def qpos(self, row: int) -> Array:
-        """MuJoCo generalised positions of a row, as a new array, (nq,)."""
+        """Return the MuJoCo generalized positions of a row as a new array, (nq,)."""
         position: Array = self._qpos[row].copy()
         return position
 
     def rows(self, rows: Rows | None = None) -> Rows:
-        """Indices of `rows`; of all robots for None."""
+        """Return `rows`, or the indices of all robots for None."""
         return np.arange(len(self.bodies)) if rows is None else rows
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """`np.cross` of (..., 3) arrays; NumPy's takes several times as long for a few vectors."""
+    """Return the cross product of (..., 3) arrays, several times faster than `np.cross`."""
     return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]

@@ -1,15 +1,16 @@
 """Shape-memory-alloy springs: thermal balance, phase hysteresis and the two-state spring.
 
-The equations per metre of wire, of mass m' = rho pi d^2 / 4, temperature T and austenite fraction xi:
+The equations for one metre of wire with mass m' = rho pi d^2 / 4, temperature T and austenite fraction
+xi are
 
     m' dH/dt = I^2 R' u - h s pi d (T - T_ambient),     H = c T + L xi            (energy balance)
     xi <- clip(xi, heating_branch(T), cooling_branch(T))                          (play operator)
 
-u in [0, 1] is the duty cycle of the drive. The state is the specific enthalpy H (J/kg, zero for
-martensite at 0 degC) and xi; the temperature follows from both. Both branches are single-valued
-functions of H, so a step needs no iteration and conserves energy during the transformation. Stress does
-not shift the transformation temperatures (no Clausius-Clapeyron effect), so the thermal state depends
-on the power history alone, not on the motion.
+where u in [0, 1] is the duty cycle of the drive. The state consists of the specific enthalpy H (J/kg,
+zero for martensite at 0 degC) and xi, which together determine the temperature. Both branches are
+single-valued functions of H. A step therefore needs no iteration and conserves energy during the
+transformation. Stress does not shift the transformation temperatures (no Clausius-Clapeyron effect), so
+the thermal state depends only on the power history, not on the motion.
 """
 
 from __future__ import annotations
@@ -34,11 +35,11 @@ class SmaSpring:
     """Wire, coil and drive of one spring. For the sources of the values, see docs/sources.md.
 
     Raises:
-        PhysicsError: a value is not a finite number or has the wrong sign, or the transformation
+        PhysicsError: a value is not a finite number, a value has the wrong sign, or the transformation
             temperatures do not form a hysteresis loop.
     """
 
-    wire_diameter_m: float = 0.15e-3  #: like that of the BMX150 micro coil
+    wire_diameter_m: float = 0.15e-3  #: as in the BMX150 micro coil
     coil_diameter_m: float = 0.47e-3  #: mean diameter of the coil
     turns: float = 100.0  #: number of turns of the coil
     density_kg_m3: float = 6450.0  #: Dynalloy F1140 sheet
@@ -53,7 +54,7 @@ class SmaSpring:
     martensite_finish_c: float = 56.0  #: Mf, estimate
     ambient_c: float = 25.0  #: air temperature
     austenite_stiffness_n_m: float = 35.0  #: secant: 0.70 N at 36 mm
-    martensite_stiffness_n_m: float = 14.5  #: austenite's times the ratio of Young's moduli
+    martensite_stiffness_n_m: float = 14.5  #: austenite stiffness times the ratio of Young's moduli
     austenite_rest_length_m: float = 0.016  #: solid length: turns times wire diameter, rounded up
     martensite_rest_length_m: float = 0.0222  #: 0.20 N at 36 mm, the detwinning plateau
     force_limit_n: float = 0.85  #: 300 MPa of shear stress in the wire
@@ -122,7 +123,7 @@ class SmaSpring:
 
     @cached_property
     def branches(self) -> tuple[Array, NDArray[np.complex128]]:
-        """Table of both branches over the enthalpy in J/kg, for linear interpolation.
+        """Enthalpies in J/kg and the fractions of both branches there, for linear interpolation.
 
         The real part of the fractions is the heating branch, the imaginary part the cooling branch.
         """
@@ -136,7 +137,7 @@ class SmaSpring:
 
 
 def heating_branch(spring: SmaSpring, temperature_c: Array) -> Array:
-    """Return the fraction on heating: half a cosine from 0 at As to 1 at Af (Liang and Rogers 1990)."""
+    """Return the fraction on heating, a half cosine from 0 at As to 1 at Af (Liang and Rogers 1990)."""
     share = (temperature_c - spring.austenite_start_c) / (
         spring.austenite_finish_c - spring.austenite_start_c
     )
@@ -144,7 +145,7 @@ def heating_branch(spring: SmaSpring, temperature_c: Array) -> Array:
 
 
 def cooling_branch(spring: SmaSpring, temperature_c: Array) -> Array:
-    """Return the fraction on cooling: half a cosine from 1 at Ms to 0 at Mf (Liang and Rogers 1990)."""
+    """Return the fraction on cooling, a half cosine from 1 at Ms to 0 at Mf (Liang and Rogers 1990)."""
     share = (temperature_c - spring.martensite_finish_c) / (
         spring.martensite_start_c - spring.martensite_finish_c
     )
@@ -167,7 +168,7 @@ class SmaState(NamedTuple):
 
     @classmethod
     def at(cls, spring: SmaSpring, temperature_c: Array, fraction: Array) -> SmaState:
-        """Return springs at a temperature (degC), with `fraction` clipped to the branches there."""
+        """Return springs at `temperature_c`, with `fraction` limited by the branches there."""
         xi = np.clip(
             fraction, heating_branch(spring, temperature_c), cooling_branch(spring, temperature_c)
         )
@@ -200,7 +201,7 @@ def advance(
 
     The method is exponential Euler in H. It is exact while xi and the power are constant. During the
     transformation the relative error of the rate is at most step_s / (2 tau), 0.3 % at 10 ms. At
-    `cut_off_c` the driver reduces the power to what holds that temperature.
+    `cut_off_c` the driver reduces the power to hold that temperature.
 
     Args:
         spring: parameters of the springs.
@@ -216,7 +217,7 @@ def advance(
     tau = spring.time_constant_s
     span_s = -tau * math.expm1(-step_s / tau)  # step length weighted by the exponential decay
     gain = spring.heating_w_kg * span_s
-    decay = spring.cooling_w_kg_k * span_s / c  # of H above ambient, at constant xi
+    decay = spring.cooling_w_kg_k * span_s / c  # of H relative to ambient, at constant xi
     inflow = decay * c * (spring.ambient_c if ambient_c is None else ambient_c)
     cut_off = c * spring.cut_off_c + latent  # enthalpy at the cut-off, where xi = 1
     hot = np.maximum(state.enthalpy_j_kg, cut_off)
@@ -249,7 +250,7 @@ def advance(
 def spring_force(spring: SmaSpring, length_m: Array, fraction: Array) -> Array:
     """Return the tension (1 - xi) k_M (l - l_M) + xi k_A (l - l_A), clipped to [0, force_limit_n], N.
 
-    The actuators of `caterpillar_env.model` compute the same.
+    The actuators of `caterpillar_env.model` compute the same force.
     """
     cold = spring.martensite_stiffness_n_m * (length_m - spring.martensite_rest_length_m)
     hot = spring.austenite_stiffness_n_m * (length_m - spring.austenite_rest_length_m)

@@ -1,7 +1,7 @@
-"""The task: crawl straight ahead for 30 s without falling, leaping or turning away.
+"""The task is to crawl straight ahead for 30 s without falling, jumping or turning away.
 
-`judge` decides what counts as a failure. `Crawl` advances robots control interval by control interval,
-stops those that fail, and measures their progress. Environments and fitness evaluation both use it.
+`judge` detects failures. `Crawl` advances robots by control intervals, stops those that fail, and
+measures their progress. The environments and the fitness evaluation both use `Crawl`.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ STEPS_PER_INTERVAL = count_steps(CONTROL_INTERVAL_S, SMA_STEP_S, "the control in
 
 
 class Failure(IntEnum):
-    """Why a robot was stopped. Names are those of Saunders 2009, section IV, and `DIVERGED`."""
+    """Reason for stopping a robot, as named in Saunders 2009, section IV, or `DIVERGED`."""
 
     NONE = 0
-    DIVERGED = 1  #: the integration broke down; says nothing about the robot
+    DIVERGED = 1  #: the integration became unstable; a numerical problem
     FLIPPED = 2  #: on its back
     TIPPED = 3  #: on its side, head or tail
-    JUMPED = 4  #: clear of the ground
+    JUMPED = 4  #: no contact with the ground
     VEERED = 5  #: substantially off course
     SAGGED = 6  #: carried by its body instead of its legs
 
@@ -47,33 +47,31 @@ class Failure(IntEnum):
         return "ok" if self is Failure.NONE else self.name.lower()
 
 
-_LEAST_LOAD_N = 1e-6  # below, nothing is carried: the robot is in the air
+_MIN_LOAD_N = 1e-6  # below this load, the robot is in the air
 _NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # members are slow to look up
 _LABELS = {int(failure): failure.label for failure in Failure}
 
 
 def label(failure: int | np.integer[Any]) -> str:
-    """Name of a failure code, "ok" for none."""
+    """Return the name of a failure code, or "ok" for no failure."""
     return _LABELS[int(failure)]
 
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Where a failure begins, judged on the whole body every control interval.
+    """Thresholds of the failures, checked for the mean of the body every control interval.
 
-    The paper names the failures and not the thresholds; these are ours. `up` is the mean over the
-    elements of the vertical part of each one's own upward axis (1 upright, 0 on its side, -1 on its
-    back), `heading` that of the mean forward axis.
+    The paper names the failures but gives no thresholds; these are ours. `up` is the vertical component
+    of the mean upward axis of the elements (1 upright, 0 on its side, -1 on its back). `heading` is the
+    direction of their mean forward axis.
     """
 
-    flipped_up: float = -0.5  #: flipped below (inclined by more than 120 degrees)
-    tipped_up: float = 0.5  #: tipped below (inclined by more than 60 degrees)
-    jumped_clearance_m: float = 0.005  #: jumped when the lowest point is above
-    veered_heading_rad: float = np.pi / 4  #: veered when the heading is off by more
-    veered_lateral_m: float = (
-        0.12  #: veered when the centre of mass is off the line by more: a body length
-    )
-    sagged_share: float = 0.05  #: sagged when the body carries more of the load, on average
+    flipped_up: float = -0.5  #: FLIPPED if `up` is lower (tilted by more than 120 degrees)
+    tipped_up: float = 0.5  #: TIPPED if `up` is lower (tilted by more than 60 degrees)
+    jumped_clearance_m: float = 0.005  #: JUMPED if the lowest point is higher
+    veered_heading_rad: float = np.pi / 4  #: VEERED if the heading is off by more
+    veered_lateral_m: float = 0.12  #: VEERED if the centre of mass is off by more (a body length)
+    sagged_share: float = 0.05  #: SAGGED if the mean share of the load on the body is higher
 
 
 def judge(
@@ -84,19 +82,19 @@ def judge(
     diverged: NDArray[np.bool_],
     thresholds: Thresholds,
 ) -> NDArray[np.int8]:
-    """The failure of each of R robots, as values of `Failure`, shape (R,).
+    """Return the failures of R robots, values of `Failure`, shape (R,).
 
     Args:
-        pose: where the robots are.
-        lateral_m: distance of the centre of mass from the starting line, (R,).
-        heading_rad: heading relative to the start, (R,).
+        pose: positions of the robots.
+        lateral_m: lateral deviation of the centre of mass from the starting line, m, (R,).
+        heading_rad: heading relative to the start, rad, (R,).
         body_load: mean share of the load that the body carries, see `Progress`, (R,).
-        diverged: whether the integration broke down, (R,).
-        thresholds: where a failure begins.
+        diverged: whether the integration became unstable, (R,).
+        thresholds: thresholds of the failures.
     """
     up = pose.up[:, 2]
     failure = np.zeros(len(up), dtype=np.int8)
-    for fails, code in (  # the graver a failure, the later it is written
+    for fails, code in (  # in order of increasing severity; later ones override
         (body_load > thresholds.sagged_share, Failure.SAGGED),
         (np.abs(heading_rad) > thresholds.veered_heading_rad, Failure.VEERED),
         (np.abs(lateral_m) > thresholds.veered_lateral_m, Failure.VEERED),
@@ -110,30 +108,30 @@ def judge(
 
 
 class Progress(NamedTuple):
-    """What R robots have achieved since reset."""
+    """Progress of R robots since reset."""
 
-    time_s: Array  #: simulated, (R,)
-    distance_m: Array  #: of the centre of mass along the starting heading; backwards is negative
-    lateral_m: Array  #: to the left of the starting heading
-    heading_rad: Array  #: relative to the start, counter-clockwise, in (-pi, pi]
-    energy_j: Array  #: electrical energy drawn
-    body_load: Array  #: share of the load on the body, mean over at least `EPISODE_S`
-    failure: NDArray[np.int8]  #: values of `Failure`
+    time_s: Array  #: simulated time, (R,)
+    distance_m: Array  #: of the centre of mass along the starting heading; negative is backwards, (R,)
+    lateral_m: Array  #: displacement to the left of the starting heading, (R,)
+    heading_rad: Array  #: heading relative to the start, counter-clockwise, in (-pi, pi], (R,)
+    energy_j: Array  #: electrical energy used, (R,)
+    body_load: Array  #: share of the load on the body, mean over at least `EPISODE_S`, (R,)
+    failure: NDArray[np.int8]  #: values of `Failure`, (R,)
 
 
 class Crawl:
-    """Robots that crawl, each until it fails; at the start when made.
+    """Simulate crawling robots, each until it fails. New robots are at the start.
 
     Args:
-        bodies: one for each robot.
-        physics: material, numerics, number of segments.
-        threads: see `Simulation`.
-        thresholds: where a failure begins.
-        stop_on_failure: whether a failed robot stands still from then on. A diverged one always does.
+        bodies: bodies of B robots.
+        physics: material, numerics and number of segments.
+        threads: number of threads, see `Simulation`.
+        thresholds: thresholds of the failures.
+        stop_on_failure: whether a failed robot stops. A diverged robot always stops.
 
     Attributes:
-        simulation: the robots' bodies, springs and motion.
-        failure: why each robot was stopped, values of `Failure`, (B,).
+        simulation: the `Simulation` of the robots.
+        failure: failure of each robot, values of `Failure`, (B,).
     """
 
     def __init__(
@@ -153,7 +151,7 @@ class Crawl:
         self._start_m = np.zeros((len(bodies), 2))
         self._direction = np.zeros((len(bodies), 2))  # cosine and sine of the starting heading
         self._measured = np.zeros((len(bodies), 6))  # the first six fields of `Progress`
-        self._borne_s = np.zeros(len(bodies))  # time for which the body has carried the robot
+        self._borne_s = np.zeros(len(bodies))  # load share of the body integrated over time
         self._start(self.simulation.rows(), 0.0)
 
     def reset(
@@ -165,14 +163,14 @@ class Crawl:
         heading_rad: float = 0.0,
         offset: Array | None = None,
     ) -> None:
-        """Put robots back to the start, at rest and cold.
+        """Return robots to the start, at rest and cold.
 
         Args:
-            bodies: one for each robot that is reset; the present ones by default.
-            rows: which robots; all by default.
-            conditions: one for each robot that is reset; those of `physics` by default.
-            heading_rad: direction to crawl in, counter-clockwise from world x.
-            offset: added to the positions of the internal joints, m or rad, (R, J).
+            bodies: new body of each of these robots. By default, bodies do not change.
+            rows: indices of the robots to reset, (R,); all by default.
+            conditions: conditions of each of these robots; those of `physics` by default.
+            heading_rad: direction to crawl in, counter-clockwise from world x, rad.
+            offset: offset to add to the positions of the internal joints, m or rad, (R, J).
         """
         self.simulation.reset(bodies, rows, conditions=conditions)
         index = self.simulation.rows(rows)
@@ -202,16 +200,17 @@ class Crawl:
         *,
         intervals: NDArray[np.int64] | None = None,
     ) -> None:
-        """Advance robots by whole control intervals; those that fail stop at the end of one.
+        """Advance robots by control intervals. A robot that fails stops at the end of the interval.
 
         Args:
             power: share of the drive power, (R, intervals * STEPS_PER_INTERVAL, num_springs).
-            rows: which robots; all by default. One that has failed already stands still.
-            on_interval: called with the trace of every interval.
+            rows: indices of the robots to advance, (R,); all by default. Stopped robots do not move.
+            on_interval: function to call with the trace of every interval. Without one, no trace is
+                recorded.
             intervals: maximum number of control intervals of each robot, (R,); no limit by default.
 
         Raises:
-            SimulationError: wrong shape, or not a whole number of control intervals.
+            SimulationError: `power` has the wrong shape or a wrong number of steps.
         """
         index = self.simulation.rows(rows)
         steps = power.shape[1] if power.ndim == 3 else -1
@@ -243,14 +242,14 @@ class Crawl:
                 break
 
     def progress(self, rows: Rows | None = None) -> Progress:
-        """What the robots have achieved since reset, measured at the end of their last interval."""
+        """Return the progress of the robots since reset, as measured after their last interval."""
         index = self.simulation.rows(rows)
         time_s, distance_m, lateral_m, heading_rad, energy_j, body_load = self._measured[index].T
         failure = self.failure[index]
         return Progress(time_s, distance_m, lateral_m, heading_rad, energy_j, body_load, failure)
 
     def _measure(self, index: Rows, pose: Pose) -> Array:
-        """The first six fields of `Progress`, (R, 6)."""
+        """Return the first six fields of `Progress`, (R, 6)."""
         measured = np.empty((len(index), 6))
         both = np.empty((len(index), 2, 2))  # the way and the forward axis, horizontal
         np.subtract(pose.com_m[:, :2], self._start_m[index], out=both[:, 0])
@@ -268,14 +267,14 @@ class Crawl:
     def _judge(self, index: Rows) -> None:
         pose = self.simulation.pose(index)
         feet_n, body_n = pose.load_n.T
-        share = body_n / np.maximum(feet_n + body_n, _LEAST_LOAD_N)
+        share = body_n / np.maximum(feet_n + body_n, _MIN_LOAD_N)
         self._borne_s[index] += np.maximum(share, 0.0) * CONTROL_INTERVAL_S
         measured = self._measured[index] = self._measure(index, pose)
         _, _, lateral_m, heading_rad, _, body_load = measured.T
         diverged = self.simulation.diverged(index)
         found = judge(pose, lateral_m, heading_rad, body_load, diverged, self.thresholds)
         if found.any():
-            # The first failure stays; only a later divergence replaces it.
+            # Keep the first failure, but let a later divergence replace it.
             keep = (self.failure[index] != _NONE) & (found != _DIVERGED)
             self.failure[index] = np.where(keep, self.failure[index], found)
 

@@ -1,4 +1,4 @@
-"""The native vector environment: N robots, each with a body of its own, in one batch."""
+"""The native vector environment. It steps N robots, each with its own body, in one batch."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ from caterpillar_env.task import EPISODE_S
 class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]]):
     """`num_envs` caterpillars stepped together; row i is a `CaterpillarEnv` reset with seed + i.
 
-    `reset(options=...)` takes a `morphology`, as below, and a `reset_mask`, a bool array (num_envs,). In
-    SAME_STEP mode, the last observation and info of an episode are in `final_obs` and `final_info`.
+    `reset` has the options `morphology`, see below, and `reset_mask`, a bool array of shape (num_envs,).
+    In SAME_STEP mode, the last observation and info of an episode are in `final_obs` and `final_info`.
+    For arguments that are not listed here, see `CaterpillarEnv`.
 
     Args:
-        num_envs: number of rows.
-        morphology: one body for all rows (as for `CaterpillarEnv`), a list of `num_envs` of them, or an
-            array (num_envs, 8).
-        physics: this and all arguments that are not listed here are those of `CaterpillarEnv`.
-        max_episode_steps: truncates episodes after this many steps too.
-        threads: to step on; 0 means all usable cores. The results do not depend on it.
-        autoreset_mode: when a row whose episode has ended starts a new one.
-        render_mode: None or "rgb_array", which draws every row.
+        num_envs: number of robots.
+        morphology: one body for all robots (as for `CaterpillarEnv`), a list of `num_envs` bodies, or an
+            array of shape (num_envs, 8).
+        max_episode_steps: maximum number of steps in an episode, in addition to the limit `episode_s`.
+        threads: number of threads; 0 means all usable cores. The results do not depend on it.
+        autoreset_mode: when a robot whose episode has ended starts a new one, see Gymnasium.
+        render_mode: None or "rgb_array" (one frame per robot).
 
     Attributes:
         crawl: the simulated robots: `crawl.progress()`, `crawl.simulation.state()` and so on.
 
     Raises:
-        CaterpillarError: an argument is of the wrong kind or out of range.
+        CaterpillarError: an argument has the wrong type or is out of range.
     """
 
     metadata: dict[str, Any] = {**CaterpillarEnv.metadata}  # noqa: RUF012
@@ -109,12 +109,12 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
 
     @property
     def observation_names(self) -> list[str]:
-        """Name of every entry of a row's observation, in order."""
+        """Name of every entry of an observation, in order."""
         return self._episodes.observation_names
 
     @property
     def step_s(self) -> float:
-        """Simulated length of a step, s."""
+        """Simulated length of an environment step, s."""
         return self._episodes.step_s
 
     @property
@@ -124,12 +124,12 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
 
     @property
     def simulated_s(self) -> float:
-        """Simulated seconds that all rows together have been stepped for."""
+        """Time simulated so far, summed over the rows, s."""
         return self.crawl.simulation.simulated_s
 
     @property
     def morphologies(self) -> list[Morphology]:
-        """The body of each row."""
+        """Body of each row."""
         return [self._episodes.morphology(row) for row in range(self.num_envs)]
 
     def reset(
@@ -161,7 +161,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         else:
             seeds = list(seed)
         if len(seeds) != self.num_envs:
-            raise SimulationError(f"seed must be a number or {self.num_envs} of them; got {seed!r}")
+            raise SimulationError(f"seed must be an integer or {self.num_envs} of them; got {seed!r}")
         if not self._generators:
             self._generators = [np_random(s)[0] for s in seeds]
         for row in np.flatnonzero(mask):
@@ -171,7 +171,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
     def step(
         self, actions: Any
     ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Advance all rows by one step; see `autoreset_mode` for those whose episode has ended."""
+        """Advance all rows by one step. Rows whose episode has ended follow `autoreset_mode`."""
         if not self._generators:
             raise SimulationError("call reset() before step()")
         actions = self._episodes.check_actions(actions, self.num_envs)
@@ -205,8 +205,8 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
             self._merge(final_info, {k: v[ended] for k, v in info.items() if k[0] != "_"}, ended)
             mask = self._done.copy()
             for key in ("reward_failure", "_reward_failure"):
-                info[key][ended] = 0  # of the episode that is over, told in final_info
-            self._start(ended, info)  # the rows go on: only what this call returns tells of the end
+                info[key][ended] = 0  # belongs to the ended episode, in final_info
+            self._start(ended, info)
             info |= {"final_obs": final_obs, "_final_obs": mask}
             info |= {"final_info": final_info, "_final_info": mask.copy()}
         return self._observations.copy(), rewards, terminated, truncated, info
@@ -232,7 +232,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
             info[f"_{key}"][rows] = True
 
     def render(self) -> tuple[Any, ...] | None:
-        """One picture per row, or None without a render mode or where nothing can be drawn."""
+        """Return one frame per row, or None without a render mode or a drawing backend."""
         if self.render_mode is None:
             return None
         frames = tuple(self._pictures.draw(row, "rgb_array") for row in range(self.num_envs))

@@ -14,7 +14,6 @@ from typing import Any, Protocol
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.physics import CONTROL_INTERVAL_S
 from caterpillar_env.robot import Outcomes, simulate
 from caterpillar_env.task import EPISODE_S
 from evolution.genome import Encoding
@@ -67,18 +66,11 @@ def evaluate(
         duration_s: simulated time of each robot, s.
         on_progress: called with the share that is simulated, in [0, 1].
     """
-    intervals = 0
-
-    def report(_: object) -> None:
-        nonlocal intervals
-        intervals += 1
-        if on_progress is not None:
-            on_progress(intervals * CONTROL_INTERVAL_S / duration_s)
-
     bodies, timings = encoding.decode(genomes)
     return simulate(
-        bodies, timings, encoding.physics, threads=threads, duration_s=duration_s, on_interval=report
-    )
+        bodies, timings, encoding.physics,
+        threads=threads, duration_s=duration_s, on_progress=on_progress,
+    )  # fmt: skip
 
 
 def evaluate_chunk(genomes: Array, encoding: Encoding, **kwargs: Any) -> Outcomes:

@@ -129,7 +129,7 @@ def test_times_outside_the_period_are_refused(name, bad):
 def test_differing_shapes_are_told():
     with pytest.raises(TimingError, match=r"\(2,\) and \(3,\)"):
         GaitTimings(PERIOD_S, [0, 0], [0, 0, 0])
-    with pytest.raises(TimingError, match="one shape"):
+    with pytest.raises(TimingError, match="the same shape"):
         GaitTimings.from_action(np.zeros(5), PERIOD_S)
 
 

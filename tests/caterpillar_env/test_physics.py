@@ -45,7 +45,7 @@ def test_partial_mappings_keep_the_other_defaults():
             {"spring": {"turn": 3}},
             "spring has no turn; its fields are wire_diameter_m, ",
         ),
-        ([4], r"physics takes a mapping .*got \[4\]"),
+        ([4], r"physics must be a mapping .*got \[4\]"),
         ({"num_segments": 1}, "num_segments = 1 must be an integer from 2 to 64"),
         ({"num_segments": 65}, "num_segments = 65 must"),
         ({"num_segments": 4.0}, "num_segments = 4.0 must"),

@@ -136,7 +136,7 @@ def test_one_range_does_not_change_the_draws_of_another():
         ({"mass": (0.0, 1.0)}, "mass must be two numbers in increasing order, above 0"),
         ({"ambient_c": (20.0, np.inf)}, "randomization of ambient_c"),
         ({"luck": (0, 1)}, "randomization has no luck; its fields are friction, mismatch_std"),
-        ([1], "randomization takes a mapping"),
+        ([1], "randomization must be a mapping"),
     ],
     ids=str,
 )

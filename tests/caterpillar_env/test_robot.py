@@ -107,7 +107,7 @@ def test_json_names_segments_and_springs():
     parts = Encoding(SHORT, PERIOD_S, "per-segment").robot(np.full(20, 0.3)).to_dict()
     assert len(parts["morphology"]) == 2
     del parts["morphology"][1]
-    with pytest.raises(CaterpillarError, match="one morphology for all of them, or a tuple of 2; got 1"):
+    with pytest.raises(CaterpillarError, match="one morphology for all of them or a tuple of 2; got 1"):
         Robot.from_dict(parts)
 
 

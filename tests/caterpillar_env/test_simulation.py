@@ -305,7 +305,7 @@ def test_wrong_shape_of_power_is_told(shape):
 
 
 def test_every_row_needs_a_body():
-    with pytest.raises(SimulationError, match="one body for each of 2 rows; got 1"):
+    with pytest.raises(SimulationError, match="bodies must have one entry for each of 2 rows; got 1"):
         started([SMALL, SMALL]).reset([SMALL])
 
 

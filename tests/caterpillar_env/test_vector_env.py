@@ -357,14 +357,14 @@ def test_seeds_must_be_as_many_as_rows():
 
 @pytest.mark.parametrize("bodies", [BODIES[:2], np.zeros((2, 8)), [], np.zeros((1, 3, 8))], ids=type)
 def test_bodies_must_be_as_many_as_rows(bodies):
-    with pytest.raises(MorphologyError, match=r"3 of them .* array of shape \(3, 8\)"):
+    with pytest.raises(MorphologyError, match=r"3 bodies, or an array of shape \(3, 8\)"):
         CaterpillarVectorEnv(ROWS, morphology=bodies)
 
 
 def test_faulty_body_of_a_list_is_told():
     bodies = np.stack([b.to_array() for b in BODIES])
     bodies[1, 4] = 3.0
-    with pytest.raises(MorphologyError, match=r"joint_limit_rad = 3\.0 is not in"):
+    with pytest.raises(MorphologyError, match=r"joint_limit_rad = 3\.0 must be in"):
         CaterpillarVectorEnv(ROWS, morphology=bodies)
 
 
@@ -378,5 +378,5 @@ def test_unusable_modes_are_refused():
 
 
 def test_a_number_is_no_body():
-    with pytest.raises(MorphologyError, match="a morphology is a mapping or 8 numbers"):
+    with pytest.raises(MorphologyError, match="a morphology must be a mapping or 8 numbers"):
         CaterpillarVectorEnv(2, morphology=3)
