@@ -51,7 +51,7 @@ def runs(tmp_path_factory):
 def test_exported_tables_hold_every_bit(runs, tmp_path, kind, read, capsys):
     out = tmp_path / f"rows.{kind}"
     assert cli.main(["export", str(runs / "done"), "--to", kind, "--out", str(out)]) == 0
-    assert "5 evaluations in" in capsys.readouterr().err
+    assert "5 evaluations written to" in capsys.readouterr().err
     assert read(out).equals(load(runs / "done").table())
 
 
@@ -70,7 +70,7 @@ def test_robot_of_a_run_is_exported_as_a_model(runs, source, capsys):
     out = runs / "done" / "best.xml"
     out.unlink(missing_ok=True)
     assert cli.main(["export", str(runs / source), "--to", "mjcf"]) == 0
-    assert f"robot of 2 segments in {out}" in capsys.readouterr().err
+    assert f"with 2 segments written to {out}" in capsys.readouterr().err
     model = mujoco.MjModel.from_xml_path(str(out))
     best = Robot.load(runs / "done")
     assert model.nu == 4
@@ -95,14 +95,14 @@ def test_robots_of_all_kinds_are_exported(tmp_path, genome):
         (["export", "done", "--to", "xlsx"], "--to"),
         (["export", "done", "--out", "missing/rows.csv"], "choose another place with --out"),
         (["export", "damaged"], "is damaged"),
-        (["export", "done/best.json"], "give the folder, or --to mjcf for the model of the robot"),
+        (["export", "done/best.json"], "give the folder, or --to mjcf"),
         (["export", "done", "--to", "csv", "--out", "robot.xml"], "contradict"),
         (["export", "nowhere", "--to", "mjcf"], "give a run folder or the JSON file of one robot"),
         (["export", "empty", "--to", "mjcf"], "empty holds no best.json"),
         (["export", "done", "--to", "mjcf", "--out", "missing/robot.xml"], "cannot write missing/robot"),
         (["export", "done", "--to", "mjcf", "--out", "empty"], "choose another place with --out"),
         (["export", "policy.json", "--to", "mjcf"], "a trained policy crawls by caterpillar rl eval"),
-        (["runs", "nowhere"], "is no folder"),
+        (["runs", "nowhere"], "nowhere is not a folder"),
     ],
 )
 def test_wrong_input_is_refused_with_the_reason(runs, monkeypatch, capsys, arguments, message):

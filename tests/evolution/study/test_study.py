@@ -257,7 +257,7 @@ def test_report_can_be_made_again_from_the_table_alone(finished, tmp_path, capsy
         (["study", "a.toml", "--preset", "pilot"], "give either a TOML file or --preset"),
         (["study", "nothing.toml"], "cannot read nothing.toml"),
         (["study", "broken.toml"], "broken.toml is not TOML"),
-        (["report", "nowhere"], "nowhere holds neither a run (journal.sqlite) nor a study (study.json)"),
+        (["report", "nowhere"], "neither a run (journal.sqlite) nor a study (study.json)"),
         (["report", "begun"], "no run of begun is finished yet"),
     ],
     ids=str,
