@@ -1,1 +1,1 @@
-"""Reinforcement learning against evolution; see the extra `rl`."""
+"""Reinforcement learning baselines for comparison with evolution. They require the extra `rl`."""

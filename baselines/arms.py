@@ -19,24 +19,24 @@ from evolution.study.arms import ArmError, merge
 
 @dataclass(frozen=True)
 class TrainArm:
-    """An arm that trains a policy; the methods are those of `evolution.study.arms.Arm`.
+    """An arm that trains a policy. It implements `evolution.study.arms.Arm`.
 
-    A training that was interrupted is repeated from the start, with the same result.
+    An interrupted training run is repeated from the start and gives the same result.
     """
 
     config: TrainConfig
 
     @property
     def title(self) -> str | None:
-        """Describe the arm in a few words."""
+        """Short description of the arm."""
         return f"Reinforcement learning, {self.config.title}"
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], base: Mapping[str, Any]) -> TrainArm:
-        """Make an arm from its settings, and the physics of the study's base.
+        """Make an arm from its settings and the physics of the study's base.
 
         Raises:
-            ArmError: the base sets another gait period than that of the environments.
+            ArmError: the base sets a gait period that differs from that of the environments.
         """
         if base.get("gait_period_s", GAIT_PERIOD_S) != GAIT_PERIOD_S:
             raise ArmError(
@@ -57,7 +57,7 @@ class TrainArm:
         return history.configuration == expected
 
     def robot(self, folder: Path, evaluation: int) -> TrainedRobot:
-        """Return the robot of an evaluation, which must be the best one."""
+        """Return the robot of the best evaluation. Other evaluations have no stored policy."""
         return TrainedRobot.load(folder)
 
     def _configure(self, seed: int, budget_s: float) -> TrainConfig:

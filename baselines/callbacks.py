@@ -1,4 +1,4 @@
-"""Callbacks for training, which the `callback` entry of rl_zoo3's hyperparameter files can name."""
+"""Training callbacks for the `callback` entry of rl_zoo3 hyperparameter files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from caterpillar_env.errors import CaterpillarError
 
 
 class InitialDuty(BaseCallback):
-    """Set the share of time for which an untrained policy powers each spring.
+    """Sets the share of time for which an untrained policy powers each spring.
 
     Without it, a new policy powers each spring at random for half of the time. Springs need seconds to
     cool, so all of them would stay hot, the robot would not move, and the policy would learn nothing.
@@ -39,7 +39,7 @@ class InitialDuty(BaseCallback):
             if isinstance(self.model.action_space, spaces.MultiBinary):
                 policy.action_net.bias.fill_(float(np.log(self._duty / (1.0 - self._duty))))
                 return
-            # Timing mode: the actions are on and off of each pair, here centred in the period.
+            # Timing mode: the actions are the on and off times of each pair, centred in the period.
             pairs = spaces.flatdim(self.model.action_space) // 2
             bias = torch.tensor([-self._duty, self._duty]).repeat(pairs)
             if hasattr(self.model, "weights"):  # ARS: a linear policy without output function

@@ -1,4 +1,4 @@
-"""Co-design: CMA-ES proposes bodies, and one policy that observes its body learns in all of them."""
+"""Co-design of body and policy: CMA-ES proposes bodies, and one policy learns to control them all."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from caterpillar_env.morphology import NAMES, Morphology
 from evolution.config import RunConfig
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 
-FROZEN_SHARE = 0.2  #: share of the budget, at its end, in which the body no longer changes
+FROZEN_SHARE = 0.2  #: final share of the budget during which the body no longer changes
 
 
 class CoDesign(BaseCallback):
-    """Set new bodies before each rollout, and update CMA-ES with their fitness after it.
+    """Sets new bodies before each rollout, and updates CMA-ES with their fitness after it.
 
     A rollout is one episode per robot. The fitness of a body is the mean distance of its robots in
-    their first episode of the rollout, with the stochastic policy; a failure counts as 0.
+    their first episode of the rollout, with the stochastic policy. A failure counts as 0.
 
     Args:
-        config: configuration of the training; `design` sets the prior of the bodies.
-        robots: environment of the training; its number of robots must be a multiple of `POPULATION`.
-        share_spent: returns the share of the budget that is spent.
+        config: configuration of the training run; `design` sets the prior of the bodies.
+        robots: training environment; its number of robots must be a multiple of `POPULATION`.
+        share_spent: function that returns the spent share of the budget.
     """
 
     def __init__(
@@ -50,12 +50,12 @@ class CoDesign(BaseCallback):
 
     @property
     def mean_genome(self) -> Array:
-        """Mean of CMA-ES's search distribution, (8,)."""
+        """Mean of the CMA-ES search distribution, (8,)."""
         return self.optimizer.centre
 
     @property
     def mean_body(self) -> Morphology:
-        """The body that `mean_genome` encodes."""
+        """Body encoded by `mean_genome`."""
         return Morphology.from_unit(self.mean_genome)
 
     def _on_rollout_start(self) -> None:

@@ -1,4 +1,4 @@
-"""Comparison of trainings: groups, summaries and learning curves."""
+"""Comparison of training runs: groups, summaries and learning curves."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from evolution.run.records import Evaluation
 
 
 class Summary(NamedTuple):
-    """Summary of trainings that differ only in the seed; distances are of deterministic policies."""
+    """Summary of training runs that differ only in the seed. Policies are deterministic."""
 
     name: str
     runs: int
     simulated_s: float  #: median
-    untrained_m: float  #: median distance before any learning
-    median_m: float  #: median distance of each training's best policy; 0 if there is none
-    least_m: float  #: least distance of these policies
-    most_m: float  #: greatest distance of these policies
+    untrained_m: float  #: median distance before training
+    median_m: float  #: median distance of each run's best policy, or 0 if there is none
+    least_m: float  #: minimum of these distances
+    most_m: float  #: maximum of these distances
 
 
 def group(trainings: Sequence[Training]) -> dict[str, list[Training]]:
-    """Group trainings that differ only in the seed; the keys are unique names."""
+    """Group training runs that differ only in the seed. The keys are unique names."""
     groups: dict[str, list[Training]] = {}
     for training in trainings:
         groups.setdefault(repr(replace(training.config, seed=0)), []).append(training)
@@ -43,16 +43,16 @@ def group(trainings: Sequence[Training]) -> dict[str, list[Training]]:
 
 
 def summarize(name: str, trainings: Sequence[Training]) -> Summary:
-    """Summarize a group of trainings.
+    """Summarize a group of training runs.
 
     Raises:
-        TrainingError: a training has no evaluation yet.
+        TrainingError: a training run has no evaluation yet.
     """
     best_m, untrained_m, spent_s = [], [], []
     for _, history in trainings:
         if not history.evaluations:
             raise TrainingError(
-                f"{history.folder} has no evaluation yet; wait for its training, or leave it out"
+                f"{history.folder} has no evaluation yet; wait for the first one, or remove the folder"
             )
         best_m.append(0.0 if history.best is None else history.best.distance_m)
         untrained_m.append(_distance_m(history.evaluations[0]))
@@ -64,7 +64,7 @@ def summarize(name: str, trainings: Sequence[Training]) -> Summary:
 
 
 def draw(groups: Mapping[str, Sequence[Training]], path: Path) -> None:
-    """Plot the distance of every training's deterministic policy over simulated time.
+    """Plot the distance of each deterministic policy over simulated time.
 
     Raises:
         FileError: the file cannot be written.

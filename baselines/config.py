@@ -1,4 +1,4 @@
-"""The configuration of a training, and its hyperparameters in the schema of rl_zoo3."""
+"""Configuration of a training run, and its hyperparameters in the schema of rl_zoo3."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ _PERIODS_PER_EPISODE = round(EPISODE_S / GAIT_PERIOD_S)
 
 
 class TrainingError(CaterpillarError):
-    """A training cannot be started or read."""
+    """A training run cannot be started or read."""
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Every setting that affects the result of a training.
+    """Settings that affect the result of a training run.
 
     Raises:
         TrainingError: a value is out of range, or two settings exclude each other.
     """
 
     algorithm: AlgorithmName = "ppo"  #: learning algorithm of stable-baselines3 or sb3-contrib
-    mode: Mode = "switch"  #: timing: a step is a gait period; switch: a step is 0.1 s or a multiple
-    open_loop: bool = False  #: timing mode only: one action per episode, which makes it a bandit
-    design: Design = "fixed"  #: fixed: one body; otherwise CMA-ES evolves the body, from this prior
-    seed: int = 0  #: seed of the training; the strengths of the springs depend on --mismatch-seed
-    budget_s: float = 30_000.0  #: simulated seconds, for training and evaluation together
+    mode: Mode = "switch"  #: timing: a step is a gait period; switch: a step is a multiple of 0.1 s
+    open_loop: bool = False  #: choose one action per episode (a bandit); timing mode only
+    design: Design = "fixed"  #: fixed: one body; otherwise the prior from which CMA-ES evolves the body
+    seed: int = 0  #: seed of the training run; --mismatch-seed sets the spring strengths
+    budget_s: float = 30_000.0  #: simulated seconds of training and evaluation
     evaluations: int = 20  #: number of evaluations of the policy, spread over the budget
-    morphology: Morphology = field(default_factory=Morphology)  #: the body, for design fixed
+    morphology: Morphology = field(default_factory=Morphology)  #: body for design fixed
     #: domain randomization during training: NAME LOW HIGH for each of friction, mismatch_std,
     #: spring_force, mass or ambient_c, sampled uniformly at every reset
     randomize: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -72,7 +72,7 @@ class TrainConfig:
             )
         if self.design != "fixed" and self.morphology != Morphology():
             raise TrainingError(
-                f"design = {self.design!r} evolves the body: do not give a body, or choose design fixed"
+                f"design = {self.design!r} evolves the body: remove the body, or choose design fixed"
             )
         if (randomization := Randomization.of(self.randomize)) is not None:
             randomization.check(self.physics)
@@ -81,7 +81,7 @@ class TrainConfig:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> TrainConfig:
-        """Make a configuration from plain JSON, as `to_dict` returns it; missing fields get defaults.
+        """Make a configuration from the plain JSON of `to_dict`. Missing fields get their defaults.
 
         Raises:
             CaterpillarError: a field is unknown or has an invalid value.
@@ -90,7 +90,7 @@ class TrainConfig:
         for name, kind in (("physics", Physics), ("morphology", Morphology)):
             if name in values:
                 values[name] = kind.of(values[name])
-        return from_mapping(cls, values, "a training", TrainingError)
+        return from_mapping(cls, values, "a training run", TrainingError)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the configuration as plain JSON."""
@@ -98,12 +98,12 @@ class TrainConfig:
 
     @property
     def env_id(self) -> str:
-        """Id of the Gymnasium environment."""
+        """Gymnasium id of the environment."""
         return ENVIRONMENTS[self.mode]
 
     @property
     def title(self) -> str:
-        """Description of the training in a few words."""
+        """Short description of the training run."""
         words: list[str] = [self.algorithm, self.mode]
         if self.open_loop:
             words.append("bandit")
@@ -116,17 +116,17 @@ class TrainConfig:
         return " ".join(words)
 
     def env_kwargs(self) -> dict[str, Any]:
-        """Return the environment's arguments that are the same in training and evaluation."""
+        """Return the environment arguments that training and evaluation share."""
         return {"physics": self.physics, **hyperparameters(self).env_kwargs}
 
 
 class Hyperparameters(NamedTuple):
-    """Hyperparameters of one training, as plain JSON."""
+    """Hyperparameters of a training run, as plain JSON."""
 
-    n_envs: int  #: number of robots that learn side by side
+    n_envs: int  #: number of parallel robots
     env_kwargs: dict[str, Any]  #: arguments of the environment
-    normalize: dict[str, Any] | None  #: arguments of VecNormalize; None: no normalization
-    callback: list[Any]  #: paths of callback classes, or mappings from a path to arguments
+    normalize: dict[str, Any] | None  #: arguments of VecNormalize, or None for no normalization
+    callback: list[Any]  #: class paths of callbacks, or mappings from class path to arguments
     model: dict[str, Any]  #: arguments of the algorithm
 
 
@@ -144,7 +144,7 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
             f"{config.algorithm} does not support mode {config.mode!r}; it supports {modes}"
         )
     model: dict[str, Any] = table[config.env_id]
-    model.pop("n_timesteps")  # used by rl_zoo3; here the budget ends a training
+    model.pop("n_timesteps")  # only rl_zoo3 uses it; here the budget ends the training
     n_envs = model.pop("n_envs", 1)
     env_kwargs = model.pop("env_kwargs", {})
     normalize = model.pop("normalize", False)

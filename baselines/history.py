@@ -1,4 +1,4 @@
-"""The record of a training: a journal as of an evolutionary run, with one evaluation per generation."""
+"""Records of training runs: journals with one evaluation per generation."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ KIND = "training"
 
 
 def make_configuration(config: TrainConfig) -> dict[str, Any]:
-    """Return what the journal of a training stores as its configuration."""
+    """Return the configuration that the journal of a training run stores."""
     return {"kind": KIND, **config.to_dict(), "hyperparameters": hyperparameters(config)._asdict()}
 
 
 class Training(NamedTuple):
-    """A training and its record.
+    """A training run and its record.
 
-    Each evaluation of `history` is one episode of the deterministic policy. Its genome is the body, and
-    its `simulated_s` includes the training since the previous evaluation.
+    Each evaluation of `history` is one episode of the deterministic policy. Its genome is the body. Its
+    `simulated_s` includes the training since the previous evaluation.
     """
 
     config: TrainConfig
@@ -30,15 +30,15 @@ class Training(NamedTuple):
 
     @classmethod
     def read(cls, folder: Path) -> Training:
-        """Read the folder of a training, also while it runs.
+        """Read the folder of a training run, even while it is running.
 
         Raises:
-            CaterpillarError: the folder contains no training, or one of an older version.
+            CaterpillarError: the folder contains no training run, or an older version wrote it.
         """
         if (folder / "training.json").exists():
             raise TrainingError(
                 f"{folder} was written by an older version (training.json), which this version cannot "
-                "read; repeat the training in another folder"
+                "read; repeat the training in a different folder"
             )
         history = History.read(folder)
         data = dict(history.configuration)
@@ -50,7 +50,7 @@ class Training(NamedTuple):
         return cls(TrainConfig.from_dict(data), history)
 
     def body(self, evaluation: Evaluation) -> Morphology:
-        """Return the body in which the policy was evaluated."""
+        """Return the body with which the policy was evaluated."""
         if self.config.design == "fixed":
             return self.config.morphology
         return Morphology.from_unit(evaluation.genome)

@@ -1,4 +1,4 @@
-"""Trained policies, and the robots that they drive."""
+"""Trained policies and the robots that they control."""
 
 from __future__ import annotations
 
@@ -32,37 +32,37 @@ Which = Literal["best", "last"]
 
 
 def make_env(config: TrainConfig, **kwargs: Any) -> CaterpillarEnv:
-    """Make the environment in which policies are evaluated: one robot, without randomization."""
+    """Make the evaluation environment, with one robot and no randomization."""
     settings = config.env_kwargs() | kwargs
     return CaterpillarEnv(config.morphology, action_mode=config.mode, threads=1, **settings)
 
 
 class RandomActor:
-    """Samples every action uniformly from the action space."""
+    """Policy that samples every action uniformly from the action space."""
 
     def __init__(self, space: spaces.Space[Any], seed: int) -> None:
         self._space = space
         space.seed(seed)
 
     def predict(self, observation: Any, deterministic: bool = False) -> tuple[NDArray[Any], None]:
-        """Return one action per observation, and no state."""
+        """Return one action per observation, and None as the state."""
         return np.array([self._space.sample() for _ in observation]), None
 
 
 @dataclass(frozen=True)
 class Policy:
-    """A policy, and the normalization of observations that it was trained with."""
+    """A policy and the observation normalization that it was trained with."""
 
     actor: BaseAlgorithm | RandomActor
     normalizer: VecNormalize | None
 
     @classmethod
     def load(cls, path: Path, config: TrainConfig) -> Policy:
-        """Load what `save` wrote.
+        """Load a policy that `save` wrote.
 
         Args:
             path: the .zip file.
-            config: configuration of the training.
+            config: configuration of the training run.
 
         Raises:
             TrainingError: the file cannot be read.
@@ -101,9 +101,9 @@ class Policy:
         """Run one episode.
 
         Args:
-            env: see `make_env`.
+            env: environment from `make_env`.
             seed: seed of the episode.
-            morphology: the body.
+            morphology: body of the robot.
             deterministic: whether to take the most likely action instead of sampling.
             on_interval: see `CaterpillarEnv`.
         """
@@ -126,20 +126,20 @@ def _statistics(path: Path) -> Path:
 
 @dataclass(frozen=True)
 class TrainedRobot:
-    """A body driven by a policy: the counterpart of `Robot`, see `AnyRobot`."""
+    """A body controlled by a policy. Like `Robot`, it implements `AnyRobot`."""
 
     policy: Policy
-    config: TrainConfig  #: configuration of the training
+    config: TrainConfig  #: configuration of the training run
     morphology: Morphology
     physics: Physics
     fitness_m: float | None = None  #: recorded distance, m
 
     @classmethod
     def load(cls, folder: Path, which: Which = "best") -> TrainedRobot:
-        """Load the best or the last policy of a training, with the body that it was evaluated in.
+        """Load the best or the last policy of a training run, with the body of its evaluation.
 
         Raises:
-            CaterpillarError: the folder contains no training, or no such policy yet.
+            CaterpillarError: the folder contains no training run, or no such policy yet.
         """
         training = Training.read(folder)
         history = training.history
@@ -165,8 +165,8 @@ class TrainedRobot:
         """Run one episode.
 
         Args:
-            timestep_s: timestep of the physics, s; by default the robot's own.
-            seed: seed of the episode; by default that of the training.
+            timestep_s: timestep of the physics, s; by default that of `physics`.
+            seed: seed of the episode; by default the seed of the training run.
             **kwargs: other arguments of `Policy.crawl`.
         """
         physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
@@ -176,11 +176,11 @@ class TrainedRobot:
 
     @property
     def digest(self) -> str:
-        """Identifies the robot; see `AnyRobot`."""
+        """Digest that identifies the robot; see `AnyRobot`."""
         return digest_of(self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON, without the weights of the policy."""
+        """Return the robot as plain JSON, without the policy weights."""
         return {
             "fitness_m": self.fitness_m,
             "morphology": self.morphology.to_dict(),
@@ -188,6 +188,6 @@ class TrainedRobot:
         }
 
     def save(self, path: Path) -> None:
-        """Write `to_dict` to a JSON file, and the policy beside it."""
+        """Write `to_dict` to a JSON file, and the policy to a .zip file beside it."""
         write_json(path, self.to_dict())
         self.policy.save(path.with_suffix(".zip"))

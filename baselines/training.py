@@ -1,4 +1,4 @@
-"""Reinforcement learning within a budget of simulated seconds, which evaluations count towards."""
+"""Training within a budget of simulated seconds. Evaluations count towards the budget."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from evolution.run.journal import Journal
 
 TENSORBOARD = "tensorboard"
 _PACKAGES = ("stable-baselines3", "sb3-contrib", "torch", "gymnasium")
-_MIN_ROLLOUTS = 5  #: least number of rollouts for co-design
+_MIN_ROLLOUTS = 5  #: minimum number of rollouts for co-design
 
 
 class _BudgetSpent(Exception):  # noqa: N818  it signals a normal end
-    """The budget is spent."""
+    """Signals that the budget is spent."""
 
 
 def train(
@@ -42,16 +42,16 @@ def train(
     tensorboard: bool = False,
     threads: int = 0,
 ) -> Training:
-    """Train a policy, and record the training in a new folder.
+    """Train a policy and record the training run in a new folder.
 
     The folder gets a journal, the last policy (`last.zip`, `last_vecnormalize.pkl`), and the best policy
     (`best.zip`, `best_vecnormalize.pkl`), which belongs to `History.best`. A KeyboardInterrupt ends the
-    training and keeps these files. A training cannot be resumed. PyTorch runs on one thread and all
-    global generators are seeded, so that a repeated training gives the same bits.
+    training and keeps these files. Training cannot be resumed. PyTorch runs on one thread and all
+    global generators are seeded, so a repeated training run gives identical results.
 
     Args:
-        config: configuration of the training.
-        folder: is created; must be empty if it exists.
+        config: configuration of the training run.
+        folder: folder to create; it must be empty if it exists.
         on_evaluation: called after every evaluation.
         on_progress: called after every step with the simulated seconds spent so far.
         tensorboard: whether to write the algorithm's logs for TensorBoard.
@@ -68,7 +68,7 @@ def train(
         randomization=config.randomize, **config.env_kwargs(),
     )  # fmt: skip
     reserve_s = _check_budget(config, robots)
-    make_folder(folder, "; a training cannot be resumed")
+    make_folder(folder, "; training cannot be resumed")
     torch_threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -96,10 +96,10 @@ def train(
 
 
 def _check_budget(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
-    """Return the seconds that one step of all robots and two evaluations can take.
+    """Return the maximum simulated seconds of one step of all robots and two evaluations.
 
     Raises:
-        TrainingError: the budget is smaller, or too small for co-design.
+        TrainingError: the budget is smaller than that, or too small for co-design.
     """
     count, budget_s = robots.num_envs, config.budget_s
     reserve_s = count * robots.vector_env.step_s + 2 * EPISODE_S
@@ -118,7 +118,7 @@ def _check_budget(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
 
 
 def _make_model(config: TrainConfig, robots: CaterpillarVecEnv, log: Path | None) -> BaseAlgorithm:
-    """Make the algorithm with its environment, and seed both."""
+    """Make the algorithm and its environment, and seed both."""
     learning = hyperparameters(config)
     env: Any = VecMonitor(robots)
     if learning.normalize is not None:
@@ -127,14 +127,14 @@ def _make_model(config: TrainConfig, robots: CaterpillarVecEnv, log: Path | None
         env=env, seed=config.seed, device="cpu", verbose=0,
         tensorboard_log=None if log is None else str(log), **learning.model,
     )  # fmt: skip
-    # By default row i gets seed + i, so that trainings with neighbouring seeds would share rows.
+    # By default row i gets seed + i, so training runs with adjacent seeds would share rows.
     seeds = np.random.SeedSequence(config.seed).generate_state(robots.num_envs)
     robots.seed_rows(seeds.tolist())
     return model
 
 
 def _make_callback(entry: str | dict[str, dict[str, Any]]) -> BaseCallback:
-    """Make a callback from the path of its class, or from a mapping from the path to arguments."""
+    """Make a callback from its class path, or from a mapping from class path to arguments."""
     path, arguments = (entry, {}) if isinstance(entry, str) else next(iter(entry.items()))
     module, name = path.rsplit(".", 1)
     callback: BaseCallback = getattr(importlib.import_module(module), name)(**arguments)
@@ -142,7 +142,7 @@ def _make_callback(entry: str | dict[str, dict[str, Any]]) -> BaseCallback:
 
 
 class _Recorder(BaseCallback):
-    """Evaluates and records the policy at intervals, and ends the training when the budget is spent."""
+    """Evaluates and records the policy at intervals. Ends the training when the budget is spent."""
 
     def __init__(
         self,
@@ -164,7 +164,7 @@ class _Recorder(BaseCallback):
 
     @property
     def spent_s(self) -> float:
-        """Simulated seconds so far, of training and evaluations."""
+        """Simulated seconds of training and evaluation so far."""
         return self._robots.vector_env.simulated_s + self._env.crawl.simulation.simulated_s
 
     def _on_step(self) -> bool:
@@ -178,7 +178,7 @@ class _Recorder(BaseCallback):
         return True
 
     def evaluate(self) -> None:
-        """Run one episode of the deterministic policy; record it, and save the policy."""
+        """Run one episode of the deterministic policy, record it, and save the policy."""
         body, genome = self._config.morphology, self._config.morphology.to_unit()
         if self.designs is not None:
             body, genome = self.designs.mean_body, self.designs.mean_genome

@@ -1,8 +1,7 @@
 """`CaterpillarVectorEnv` as a `VecEnv` of stable-baselines3.
 
-stable-baselines3 does not accept vector environments of Gymnasium. It expects rows that reset within
-the step that ends an episode, the last observation under `terminal_observation`, and truncation under
-`TimeLimit.truncated`.
+stable-baselines3 does not accept Gymnasium vector environments. It requires rows that reset within the
+step that ends an episode, and the info keys `terminal_observation` and `TimeLimit.truncated`.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.vector_env import CaterpillarVectorEnv
 
-#: Keys of the environment's info that are returned when an episode ends.
+#: Info keys that are returned at the end of an episode.
 EPISODE_INFO = ("distance", "energy_j", "time_s", "failure")
 
 
 class CaterpillarVecEnv(VecEnv):
-    """A batch of `num_envs` robots; `vector_env` is its `CaterpillarVectorEnv`.
+    """Adapter for a `CaterpillarVectorEnv` with `num_envs` robots, available as `vector_env`.
 
     Args:
         env_id: `CaterpillarSMA-v0` or `CaterpillarSMASwitch-v0`.
@@ -46,11 +45,11 @@ class CaterpillarVecEnv(VecEnv):
         self.metadata = {**self.metadata, "render_fps": self.vector_env.metadata["render_fps"]}
 
     def seed_rows(self, seeds: Sequence[int]) -> None:
-        """Set the seed of each row for the next reset; `seed` takes one number and counts up from it."""
+        """Set the seed of each row for the next reset. (`seed` takes a single number for all rows.)"""
         self._seeds = list(seeds)
 
     def reset(self) -> VecEnvObs:
-        """Reset all rows with the seeds and options that were set.
+        """Reset all rows with the current seeds and options.
 
         Raises:
             CaterpillarError: the options differ between rows.
@@ -72,7 +71,7 @@ class CaterpillarVecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Step all rows; a row whose episode ends is reset, and returns its first observation."""
+        """Step all rows. A row whose episode ends is reset and returns its first observation."""
         observations, rewards, terminated, truncated, info = self.vector_env.step(self._actions)
         dones = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -87,7 +86,7 @@ class CaterpillarVecEnv(VecEnv):
         self.vector_env.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Render one picture per row."""
+        """Render one image per row."""
         frames = self.vector_env.render()
         return [None] * self.num_envs if frames is None else list(frames)
 
@@ -97,7 +96,7 @@ class CaterpillarVecEnv(VecEnv):
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of the vector environment, which is shared by all rows.
+        """Set an attribute of the vector environment. All rows share it.
 
         Raises:
             CaterpillarError: `indices` does not select all rows.
@@ -109,7 +108,7 @@ class CaterpillarVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method of the vector environment once; repeat its result for each requested row."""
+        """Call a method of the vector environment once. Repeat its result for each requested row."""
         result = getattr(self.vector_env, method_name)(*args, **kwargs)
         return [result for _ in self._get_indices(indices)]
 

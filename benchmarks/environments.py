@@ -3,7 +3,8 @@
     python -m benchmarks.environments           # about fifteen minutes on two cores
     python -m benchmarks.environments --single  # only the single environments
 
-All make the same physics steps: the engine's calls of our environment are recorded and repeated alone.
+All cases make the same physics steps: the bare engine repeats the recorded engine calls of our
+environment.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ SEED = 0
 
 
 def sample_actions(space: gymnasium.Space[Any], count: int) -> list[Any]:
-    """Return random actions, the same in every call."""
+    """Return `count` random actions. They are the same in every call."""
     space.seed(SEED)
     return [space.sample() for _ in range(count)]
 
 
 def run(env: Any, actions: list[Any]) -> Callable[[], Callable[[int], Any]]:
-    """Return a contestant that resets an environment and steps it, see `harness.turns`."""
+    """Return a benchmark case for `harness.turns` that resets an environment and steps it."""
 
     def begin() -> Callable[[int], Any]:
         env.reset(seed=SEED)
@@ -47,7 +48,7 @@ def run(env: Any, actions: list[Any]) -> Callable[[], Callable[[int], Any]]:
 
 
 class EngineSteps:
-    """The engine's calls of an environment, by step."""
+    """Engine calls of an environment, grouped by step."""
 
     def __init__(self, env: Any, actions: list[Any]) -> None:
         env.reset(seed=SEED)
@@ -59,7 +60,7 @@ class EngineSteps:
         self.spans = list(itertools.pairwise(ends))
 
     def repeat(self, threads: int) -> Callable[[], Callable[[int], Any]]:
-        """Return a contestant that makes the same calls alone."""
+        """Return a benchmark case that makes only the engine calls."""
 
         def begin() -> Callable[[int], Any]:
             batch = self.calls.make_batch(threads)
@@ -73,7 +74,7 @@ def vector(mode: str, count: int, steps: int, repeats: int) -> dict[str, Any]:
     native: Any = gymnasium.make_vec(IDS[mode], num_envs=count, threads=0)
     single = gymnasium.make_vec(IDS[mode], num_envs=count, threads=1)
     actions = sample_actions(native.action_space, steps)
-    contestants = {
+    cases = {
         "native": run(native, actions),
         "bare": EngineSteps(native, actions).repeat(0),
         "1 thread": run(single, actions),
@@ -82,11 +83,11 @@ def vector(mode: str, count: int, steps: int, repeats: int) -> dict[str, Any]:
     makers = [lambda: gymnasium.make(IDS[mode])] * count
     if count <= 256:
         peers.append(SyncVectorEnv(makers))
-        contestants["sync"] = run(peers[-1], actions)
+        cases["sync"] = run(peers[-1], actions)
     if count <= 64:
         peers.append(AsyncVectorEnv(makers))
-        contestants["async"] = run(peers[-1], actions)
-    costs = turns(contestants, steps, repeats)
+        cases["async"] = run(peers[-1], actions)
+    costs = turns(cases, steps, repeats)
     for env in (native, single, *peers):
         env.close()
     row: dict[str, Any] = {
@@ -102,7 +103,7 @@ def vector(mode: str, count: int, steps: int, repeats: int) -> dict[str, Any]:
 
 
 def single(mode: str, steps: int, repeats: int) -> dict[str, Any]:
-    """Compare `gymnasium.make` with a loop over `mj_step`, and with one that also heats the springs."""
+    """Compare `gymnasium.make` with loops over `mj_step`, without and with the spring model."""
     env: Any = gymnasium.make(IDS[mode])
     actions = sample_actions(env.action_space, steps)
     repeated = EngineSteps(env, actions)
@@ -142,7 +143,7 @@ def _steps(model: mujoco.MjModel, controls: list[Array]) -> Callable[[int], None
 
 
 def _plain(physics: Physics, model: mujoco.MjModel, controls: list[Array]) -> Callable[[int], None]:
-    """Make a simple loop that heats the springs, sets the controls and steps, without the task."""
+    """Return the steps of a simple loop that heats the springs and sets the controls."""
     data = mujoco.MjData(model)
     state = SmaState.cold(physics.spring, (physics.num_springs,))
     power = np.random.default_rng(SEED).integers(0, 2, (1, physics.num_springs)).astype(float)
@@ -192,11 +193,11 @@ def ant(steps: int, repeats: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print both tables."""
+    """Run the benchmarks and print both tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--envs", default="1,8,64,256,1024", help="sizes of the vector environments")
-    parser.add_argument("--single", action="store_true", help="only the single environments")
+    parser.add_argument("--single", action="store_true", help="run only the single environments")
     args = parser.parse_args()
     rows = [single("switch", 280, args.repeats), single("timing", 5, args.repeats)]
     rows.append(ant(2000, args.repeats))
@@ -205,7 +206,7 @@ def main() -> None:
         return
     counts = [int(count) for count in args.envs.split(",")]
     rows = []
-    # Within one episode, and not much longer for many robots than for few.
+    # Stay within one episode, and limit the time for many robots.
     for mode, longest, total, most in (("switch", 280, 4000, 1024), ("timing", 6, 100, 64)):
         for count in (count for count in counts if count <= most):
             steps = max(2, min(longest, round(total / count)))

@@ -1,4 +1,4 @@
-"""Shared by the benchmarks: timing contestants in turns, statistics, tables and JSON."""
+"""Shared functions of the benchmarks: alternating timings, statistics, tables and JSON."""
 
 from __future__ import annotations
 
@@ -25,37 +25,37 @@ def timed(work: Callable[[], Any]) -> float:
     return time.perf_counter() - started
 
 
-def rounds(contestants: Mapping[str, Callable[[], float]], repeats: int) -> dict[str, Array]:
-    """Return the cost of each contestant in each round, shape (repeats,).
+def rounds(cases: Mapping[str, Callable[[], float]], repeats: int) -> dict[str, Array]:
+    """Return the cost of each benchmark case in each round, shape (repeats,).
 
-    Rounds alternate in order, so that slow phases of the machine affect all contestants alike.
+    The order alternates between rounds, so slow phases of the machine affect all cases equally.
     """
-    costs: dict[str, list[float]] = {name: [] for name in contestants}
+    costs: dict[str, list[float]] = {name: [] for name in cases}
     for number in range(repeats):
-        order = list(contestants) if number % 2 == 0 else list(contestants)[::-1]
+        order = list(cases) if number % 2 == 0 else list(cases)[::-1]
         for name in order:
-            costs[name].append(contestants[name]())
+            costs[name].append(cases[name]())
         print(".", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     return {name: np.array(values) for name, values in costs.items()}
 
 
 def turns(
-    contestants: Mapping[str, Callable[[], Callable[[int], Any]]], steps: int, repeats: int
+    cases: Mapping[str, Callable[[], Callable[[int], Any]]], steps: int, repeats: int
 ) -> dict[str, Array]:
-    """Return seconds per step of contestants that take turns step by step, shape (repeats,).
+    """Return the time per step of each benchmark case, s, shape (repeats,).
 
-    If all make the same steps this is fairer than rounds: slow phases of the machine and expensive
-    steps affect all alike.
+    All cases make step i before any case makes step i + 1. Slow phases of the machine and expensive
+    steps therefore affect all cases equally.
 
     Args:
-        contestants: each starts again when called, and returns a function that makes step i.
+        cases: functions that start a case and return a function that makes step i.
         steps: number of steps.
         repeats: number of repetitions.
     """
-    costs: dict[str, list[float]] = {name: [] for name in contestants}
+    costs: dict[str, list[float]] = {name: [] for name in cases}
     for _ in range(repeats):
-        makers = {name: begin() for name, begin in contestants.items()}
+        makers = {name: begin() for name, begin in cases.items()}
         spent = dict.fromkeys(makers, 0.0)
         for number in range(steps):
             order = list(makers) if number % 2 == 0 else list(makers)[::-1]
@@ -74,7 +74,7 @@ def spread(values: Array) -> dict[str, float]:
 
 
 def machine() -> dict[str, Any]:
-    """Return the processor and the versions of the packages."""
+    """Return the processor, the number of cores and the package versions."""
     packages = ("mujoco", "gymnasium", "numpy")
     return {
         "processor": processor(),
@@ -85,7 +85,7 @@ def machine() -> dict[str, Any]:
 
 
 def report(name: str, rows: list[dict[str, Any]], **more: Any) -> None:
-    """Print a table to standard error, and the same as a line of JSON to standard output."""
+    """Print a table to standard error, and its data as a line of JSON to standard output."""
     columns = list(dict.fromkeys(key for row in rows for key in row))
     table = Table(title=name, title_justify="left")
     for column in columns:

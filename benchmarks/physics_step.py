@@ -1,4 +1,4 @@
-"""Cost of a physics step by part and setting, one thread: `python -m benchmarks.physics_step`."""
+"""Cost of a physics step by part and setting on one thread: `python -m benchmarks.physics_step`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ COMPARED = (
 
 
 def record_period(**changes: Any) -> EngineCalls:
-    """Record the engine's calls in one gait period of eight evolved robots."""
+    """Record the engine calls in one gait period of eight evolved robots."""
     physics = replace(Physics(), **changes)
     bodies, power = stack_power(evolved_robots(8))
     crawl = Crawl(bodies, physics)
@@ -37,7 +37,7 @@ def record_period(**changes: Any) -> EngineCalls:
 def cost(
     calls: EngineCalls, edit: Callable[[mujoco.MjModel], None] | None = None
 ) -> Callable[[], float]:
-    """Return a function that times a step, s, after editing the models."""
+    """Return a function that times a step of the edited models, s."""
     if edit is not None:
         calls = copy.copy(calls)
         calls.models = [copy.copy(model) for model in calls.models]
@@ -52,7 +52,7 @@ def cost(
 
 
 def undo_trimming(model: mujoco.MjModel) -> None:
-    """Restore MuJoCo's own Jacobians of springs, with a column for every joint up to the root."""
+    """Restore MuJoCo's spring Jacobians, which have a column for every joint up to the root."""
     for tendon in range(model.ntendon):
         first = model.tendon_adr[tendon]
         last = int(model.site_bodyid[model.wrap_objid[first : first + 2]].max())
@@ -83,20 +83,20 @@ def enable(*flags: str) -> Callable[[mujoco.MjModel], None]:
 
 
 def undo_savings(model: mujoco.MjModel) -> None:
-    """Undo all savings of the engine's step except the solver."""
+    """Undo all optimizations of the engine step except the choice of solver."""
     undo_trimming(model)
     enable("island", "midphase")(model)
 
 
 def main() -> None:
-    """Print one table: settings, then parts left out."""
+    """Run the benchmark and print its table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=7)
     args = parser.parse_args()
     settings: dict[str, dict[str, Any]] = {"as it is": {}} | {name: SETTINGS[name] for name in COMPARED}
     as_it_is = record_period()
-    contestants = {name: cost(record_period(**changes)) for name, changes in settings.items()}
-    contestants |= {
+    cases = {name: cost(record_period(**changes)) for name, changes in settings.items()}
+    cases |= {
         "islands and midphase on": cost(as_it_is, enable("island", "midphase")),
         "springs' Jacobians not trimmed": cost(as_it_is, undo_trimming),
         "all three: CG, none of these savings": cost(record_period(solver="cg"), undo_savings),
@@ -104,7 +104,7 @@ def main() -> None:
         "without contacts and joint limits": cost(as_it_is, disable("constraint")),
         "and without springs": cost(as_it_is, disable("constraint", "actuation")),
     }
-    costs = rounds(contestants, args.repeats)
+    costs = rounds(cases, args.repeats)
     rows = [
         {
             "setting": name,

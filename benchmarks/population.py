@@ -35,7 +35,7 @@ def evaluation(bodies: int, seconds: float, repeats: int) -> None:
             crawl.run(power)
 
     def race(threads: int) -> tuple[float, float]:
-        """Return seconds of `simulate` and of the engine, which repeats each interval right after."""
+        """Return the times of `simulate` and of the engine, s. The engine repeats each interval."""
         batch, intervals, engine_s = bare.make_batch(threads), 0, 0.0
 
         def repeat(_: object) -> None:
@@ -119,9 +119,9 @@ def main() -> None:
     parser.add_argument("--bodies", type=int, default=200)
     parser.add_argument("--seconds", type=float, default=EPISODE_S)
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--sizes", default="16,64,256,1024,4096", help="of populations; none if empty")
-    parser.add_argument("--memory", action="store_true", help="only the memory test")
-    parser.add_argument("--evaluations", type=int, default=100_000, help="of the memory test")
+    parser.add_argument("--sizes", default="16,64,256,1024,4096", help="population sizes; may be empty")
+    parser.add_argument("--memory", action="store_true", help="run only the memory test")
+    parser.add_argument("--evaluations", type=int, default=100_000, help="size of the memory test")
     args = parser.parse_args()
     if args.memory:
         memory(args.evaluations)

@@ -22,7 +22,7 @@ def process(*argv: str) -> Callable[[], float]:
 
 
 def resets(repeats: int, *, new_body: bool) -> Callable[[], float]:
-    """Return a function that times a reset of one robot, s, with a new body or with the same one."""
+    """Return a function that times a reset of one robot, s, with a new body or the same body."""
     physics = Physics()
     bodies = [robot.morphology for robot in random_robots(50 * repeats, 0, physics)]
     crawl = Crawl(bodies[:1], physics)
@@ -36,7 +36,7 @@ def resets(repeats: int, *, new_body: bool) -> Callable[[], float]:
 
 
 def main() -> None:
-    """Print one table."""
+    """Run the benchmark and print its table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=11)
     args = parser.parse_args()

@@ -1,7 +1,7 @@
 """Evolve the robots of the validation: `python -m benchmarks.validation_robots FOLDER`.
 
-Run this after a change of the physics. It takes half an hour on two cores, and resumes the runs that are
-in FOLDER. Each robot is the best of its own run: genetic algorithm or CMA-ES, with or without the prior.
+Run this after a change of the physics. It takes half an hour on two cores and resumes runs in FOLDER.
+Each robot is the best of its own run: genetic algorithm or CMA-ES, with or without the prior.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from evolution.optimizers.ga import GaConfig
 from evolution.run.evaluators import LocalEvaluator
 from evolution.run.loop import evolve, resume
 
-SEEDS = 8  #: runs of each optimizer with each prior
+SEEDS = 8  #: number of runs for each optimizer and prior
 BUDGET_S = 4000.0  #: simulated seconds of a run
 _OPTIMIZERS: tuple[OptimizerName, ...] = ("ga", "cma-es")
 _PRIORS: tuple[Prior, ...] = ("preprocessed", "uniform")
@@ -38,11 +38,11 @@ def make(folder: Path, path: Path = FILE) -> None:
     """Evolve a robot for each of `RUNS` in `folder` and write them to `path` in that order."""
     names = [f"{config.optimizer}-{config.prior}-{config.seed}" for config in RUNS]
     with ProcessPoolExecutor() as pool:
-        robots = list(pool.map(_evolved, RUNS, [folder / name for name in names]))
+        robots = list(pool.map(_evolve_robot, RUNS, [folder / name for name in names]))
     path.write_text(json.dumps([r.to_dict() for r in robots], indent=1) + "\n", encoding="utf-8")
 
 
-def _evolved(config: RunConfig, folder: Path) -> Robot:
+def _evolve_robot(config: RunConfig, folder: Path) -> Robot:
     evaluator = LocalEvaluator(threads=1)
     if folder.exists():
         resume(folder, evaluator=evaluator)

@@ -1,4 +1,4 @@
-"""`caterpillar rl`: one module per subcommand, imported only if stable-baselines3 is installed."""
+"""`caterpillar rl`, with one module per subcommand. The modules require stable-baselines3."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from evolution import cli
 
 
 def rl_command(argv: Sequence[str]) -> int:
-    """Train policies by reinforcement learning, evaluate them, and compare trainings."""
+    """Train policies by reinforcement learning, evaluate them, and compare training runs."""
     commands = {name: partial(_load, name) for name in ("train", "eval", "compare")}
     return cli.dispatch(commands, argv, "caterpillar rl")
 

@@ -22,12 +22,12 @@ _HEADINGS = ("training", "seeds", "simulated", "untrained", "median best", "lowe
 
 @dataclass(frozen=True)
 class CompareArgs:
-    """Compare trainings: print a table, and plot the learning curves over simulated time."""
+    """Compare training runs: print a table, and plot the learning curves over simulated time."""
 
     folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Folders of trainings; those that differ only in the seed share a row."""
+    """Folders of training runs. Runs that differ only in the seed share a row."""
     out: Path = Path("learning.png")
-    """File for the learning curves: .png, .svg or .pdf."""
+    """Image file for the learning curves: .png, .svg or .pdf."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -37,7 +37,7 @@ class CompareArgs:
 
 
 def compare_command(argv: Sequence[str]) -> int:
-    """Compare trainings in a table and a plot of their learning curves."""
+    """Compare training runs in a table and a plot of their learning curves."""
     args = cli.parse(CompareArgs, argv, "rl compare")
     groups = comparison.group([Training.read(folder) for folder in args.folders])
     rows = [comparison.summarize(name, trainings) for name, trainings in groups.items()]

@@ -21,26 +21,26 @@ from evolution.cli.running import film
 
 @dataclass(frozen=True)
 class EvalArgs:
-    """Evaluate a trained policy: as in training, with sampled actions, or under other conditions."""
+    """Evaluate a trained policy, optionally with sampled actions or under different conditions."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of the training."""
+    """Folder of the training run."""
     which: Literal["best", "last", "random"] = "best"
-    """The policy: the best, the last, or none, which takes random actions."""
+    """Policy to evaluate: the best one, the last one, or random actions."""
     stochastic: bool = False
     """Sample actions as in training, instead of taking the most likely ones."""
     episodes: int = 1
-    """Number of episodes; more than one requires sampled actions."""
+    """Number of episodes. More than one requires sampled actions."""
     frictions: tuple[float, ...] = ()
-    """Friction coefficients to evaluate with, instead of that of the training."""
+    """Friction coefficients to evaluate with; by default that of the training run."""
     mismatch_seeds: tuple[int, ...] = ()
-    """Seeds of the spring strengths to evaluate with, instead of that of the training."""
+    """Seeds of the spring strengths to evaluate with; by default that of the training run."""
     timestep_s: float | None = None
-    """Timestep of the physics in s, instead of that of the training."""
+    """Physics timestep in s; by default that of the training run."""
     json: bool = False
     """Print JSON instead of sentences."""
     video: bool = False
-    """Write eval.mp4 into the folder, a video of the first episode."""
+    """Write eval.mp4, a video of the first episode, to the folder."""
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
@@ -50,17 +50,17 @@ class EvalArgs:
         if self.episodes > 1 and not self.samples_actions:
             raise CaterpillarError(
                 f"episodes = {self.episodes} would all be equal, because the most likely actions are "
-                "deterministic; add --stochastic, or leave out --episodes"
+                "deterministic; add --stochastic, or remove --episodes"
             )
 
     @property
     def samples_actions(self) -> bool:
-        """Whether actions are random."""
+        """Whether actions are sampled."""
         return self.stochastic or self.which == "random"
 
 
 def eval_command(argv: Sequence[str]) -> int:
-    """Evaluate a trained policy, also under other conditions."""
+    """Evaluate a trained policy, optionally under different conditions."""
     args = cli.parse(EvalArgs, argv, "rl eval")
     robot = TrainedRobot.load(args.folder, "best" if args.which == "best" else "last")
     physics, seed = robot.physics, robot.config.seed

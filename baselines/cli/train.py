@@ -26,11 +26,11 @@ class TrainArgs:
     out: Path | None = None
     """Folder to create; by default a new one in runs/."""
     body: Path | None = None
-    """Use the body of an evolved robot: its run folder, or its best.json."""
+    """Run folder or best.json of an evolved robot, to use its body."""
     video: bool = True
     """Write best.mp4, a video of the best robot."""
     track: Literal["nowhere", "tensorboard"] = "nowhere"
-    """tensorboard: also log the training to the folder, for TensorBoard."""
+    """tensorboard: also write TensorBoard logs to the folder."""
     threads: int = 0
     """Number of simulation threads; 0 uses all cores."""
     config: TrainConfig = field(default_factory=TrainConfig)

@@ -1,1 +1,1 @@
-"""Pictures and videos of robots: backend, scenery, renderer, overlay, videos."""
+"""Images and videos of robots: OpenGL backend, scenery, renderer, overlay and video files."""

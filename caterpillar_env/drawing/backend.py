@@ -1,4 +1,4 @@
-"""The OpenGL backend of off-screen pictures."""
+"""Choice of the OpenGL backend for off-screen rendering."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def has_display() -> bool:
 
 
 def choose_backend() -> str:
-    """Return the name of the backend to draw with: "glfw", "egl", "osmesa" or "disabled".
+    """Return the name of the rendering backend: "glfw", "egl", "osmesa" or "disabled".
 
-    The environment variable MUJOCO_GL takes precedence. The default is GLFW with a display; without one
-    it is EGL if it works, else OSMesa.
+    The environment variable MUJOCO_GL takes precedence. Otherwise the backend is GLFW if a display is
+    available, EGL if it works, or OSMesa.
     """
     given = os.environ.get("MUJOCO_GL", "").lower().strip()
     if given or has_display():
@@ -44,7 +44,7 @@ def _has_library(name: str) -> bool:
 def _egl_works() -> bool:
     """Return whether EGL finds a driver.
 
-    This runs in a subprocess, because a process in which EGL has failed cannot switch to OSMesa.
+    The test runs in a subprocess, because a process cannot switch to OSMesa after EGL has failed.
     """
     code = "from mujoco.egl import GLContext; GLContext(1, 1)"
     environment = {**os.environ, "MUJOCO_GL": "egl"}

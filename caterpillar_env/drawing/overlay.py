@@ -1,4 +1,4 @@
-"""Text on pictures: title, time, distance and energy, and a legend of the colours."""
+"""Text on frames: title, time, distance, energy, and a legend of the colours."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from PIL import Image, ImageDraw, ImageFont
 from caterpillar_env.arrays import Array
 from caterpillar_env.sma import SmaSpring
 
-CONTACT_RGB = (1.0, 0.55, 0.05)  #: feet and spots in contact with the ground
-PATH_RGB = (0.55, 0.15, 0.60)
+CONTACT_RGB = (1.0, 0.55, 0.05)  #: colour of feet and spots that touch the ground
+PATH_RGB = (0.55, 0.15, 0.60)  #: colour of the path of the centre of mass
 
 _COLD = np.array([0.10, 0.35, 0.95])
 _WARM = np.array([0.98, 0.85, 0.20])
@@ -22,17 +22,17 @@ _INK, _ALARM, _PANEL = (30, 30, 30), (190, 20, 20), (255, 255, 255, 185)
 
 
 class Readout(NamedTuple):
-    """Numbers and text written on a picture."""
+    """Numbers and text written on a frame."""
 
-    time_s: float  #: simulated
+    time_s: float  #: simulated time
     distance_m: float  #: of the centre of mass, along the initial heading
-    energy_j: float  #: electrical
+    energy_j: float  #: electrical energy
     failure: str = "ok"  #: name of the failure
     title: str = ""
 
 
 def spring_rgb(spring: SmaSpring, temperature_c: Array) -> Array:
-    """Return colours (n, 3) of temperatures (n,): blue at ambient, yellow at As, red at the cut-off."""
+    """Return colours (n, 3) for temperatures (n,): blue at ambient, yellow at As, red at the cut-off."""
     share = np.interp(
         temperature_c, [spring.ambient_c, spring.austenite_start_c, spring.cut_off_c], [0.0, 0.5, 1.0]
     )[:, None]
@@ -50,7 +50,7 @@ def annotate(frame: NDArray[np.uint8], readout: Readout, spring: SmaSpring) -> N
     font, pad = _font(size), size // 2
     room = image.width - 5 * pad
     legend = _legend(spring, max(10, round(0.8 * size)))
-    if legend.width < 0.6 * image.width:  # omit it in small pictures
+    if legend.width < 0.6 * image.width:  # omit it in small frames
         image.paste(legend, (image.width - legend.width - pad, pad), legend)
         room -= legend.width
     numbers = (
@@ -77,7 +77,7 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 @lru_cache(maxsize=32)
 def _legend(spring: SmaSpring, size: int) -> Image.Image:
-    """Draw the legend: temperature scale, contact spot and path, with a font of `size` pixels."""
+    """Draw the legend (temperature scale, contact spot and path) with a font of `size` pixels."""
     image = Image.new("RGBA", (17 * size, round(5.3 * size)))
     draw = ImageDraw.Draw(image)
     right, bottom = image.width - 1, image.height - 1

@@ -1,4 +1,4 @@
-"""Draw robots, with springs coloured by temperature, contact marks and a ruler."""
+"""Render robots with springs coloured by temperature, contact marks and a ruler."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from caterpillar_env.task import Crawl, label
 
 Point = tuple[float, float, float]
 
-#: Reason why drawing failed before, or None. Retrying a broken backend can crash the interpreter.
+#: Reason of an earlier rendering failure, or None. Retrying can crash the interpreter.
 unavailable: str | None = None
 
 _CONTACT_RGBA = np.array([*CONTACT_RGB, 0.85])
@@ -46,7 +46,7 @@ class RenderingError(CaterpillarError):
 
 @dataclass(frozen=True)
 class View:
-    """Size and camera of a picture.
+    """Size and camera of an image.
 
     Raises:
         RenderingError: a size is not a positive integer, or the camera does not exist.
@@ -69,13 +69,13 @@ class View:
 
 
 class RobotRenderer:
-    """Draws a robot with a fixed body.
+    """Renders a robot with a fixed body.
 
     Args:
-        body: the robot's body.
-        physics: its physics.
+        body: body of the robot.
+        physics: physics of the robot.
         view: size and camera.
-        view_length_m: body length that fits in the picture; the length of `body` by default.
+        view_length_m: body length that must fit in the image; by default the length of `body`.
     """
 
     def __init__(
@@ -108,14 +108,14 @@ class RobotRenderer:
         self._parts, self._half_axes = touching_geoms(model), half_axes_m(model)
         self._foot_rgba = model.geom_rgba[self._feet].copy()
         self._ruler = model.geom(RULER).id
-        # The ruler shows the distance: its zero is at the initial centre of mass.
+        # Place the zero of the ruler at the initial centre of mass, so that it shows the distance.
         model.geom_pos[self._ruler, 0] += self.centre_of_mass(model.qpos0)[0]
         self.path: list[Array] = []  #: positions of the centre of mass, m, (3,) each
         self._canvas: mujoco.Renderer | None = None
         self._window: Any = None
 
     def centre_of_mass(self, qpos: Array) -> Array:
-        """Return the centre of mass in pose `qpos` (nq,), m, (3,)."""
+        """Return the centre of mass, m, (3,), in the pose `qpos` (nq,)."""
         self._data.qpos[:] = qpos
         mujoco.mj_forward(self.model, self._data)
         centre: Array = self._data.subtree_com[1].copy()
@@ -127,18 +127,18 @@ class RobotRenderer:
         """Draw a pose.
 
         Args:
-            qpos: MuJoCo generalised positions, (nq,).
-            temperature_c: temperatures of the springs, degC, (springs,).
+            qpos: MuJoCo generalized positions, (nq,).
+            temperature_c: spring temperatures, degC, (springs,).
             mode: "rgb_array", "depth_array" or "human".
-            readout: values to write on a colour picture. The picture then also shows a legend and the
-                path of the centre of mass over all such pictures since `path` was cleared.
+            readout: values to write on a colour image. The image then also shows a legend and the path
+                of the centre of mass since `path` was cleared.
 
         Returns:
-            A picture (height, width, 3), uint8; in depth mode distances (height, width), m, float32;
+            An image (height, width, 3), uint8; in depth mode distances (height, width), m, float32;
             None in human mode.
 
         Raises:
-            RenderingError: drawing is not possible on this machine.
+            RenderingError: rendering is not possible on this machine.
         """
         centre = self.centre_of_mass(qpos)
         self._data.geom_xpos[self._ruler, 1] += centre[1]  # keep the ruler beside the robot
@@ -173,7 +173,7 @@ class RobotRenderer:
         return frame if readout is None else annotate(frame, readout, self._spring)
 
     def close(self) -> None:
-        """Free the window or the drawing context."""
+        """Release the window and the rendering context."""
         if self._canvas is not None:
             self._canvas.close()
         if self._window is not None:
@@ -187,7 +187,7 @@ class RobotRenderer:
             try:
                 if backend == "disabled":
                     raise OSError("MUJOCO_GL disables it, or neither EGL nor OSMesa is installed")
-                # MuJoCo selects the context class at import; replace it by the chosen backend.
+                # MuJoCo selects the context class at import. Replace it by that of the chosen backend.
                 if backend in ("egl", "osmesa"):
                     gl_context.GLContext = import_module(f"mujoco.{backend}").GLContext
                 with warnings.catch_warnings():
@@ -223,12 +223,12 @@ class RobotRenderer:
 
 
 class Pictures:
-    """Pictures of the robots of a `Crawl`, with one renderer per row, created on demand.
+    """Renders the rows of a `Crawl`. Each row gets its own renderer when it is first drawn.
 
     Args:
-        crawl: the robots.
+        crawl: simulation of the robots.
         view: size and camera.
-        overlay: whether colour pictures show time, distance, energy and path.
+        overlay: whether colour images show time, distance, energy and path.
     """
 
     def __init__(self, crawl: Crawl, view: View, *, overlay: bool) -> None:
@@ -249,7 +249,7 @@ class Pictures:
     def draw(self, row: int, mode: str) -> NDArray[Any] | None:
         """Draw the current state of a row; see `RobotRenderer.draw`.
 
-        If drawing is not possible on this machine, warn once and return None.
+        If rendering is not possible on this machine, warn once and return None.
         """
         simulation, rows = self._crawl.simulation, np.array([row])
         now = self._crawl.progress(rows)
@@ -269,7 +269,7 @@ class Pictures:
             self._renderers[row].path.clear()
 
     def close(self) -> None:
-        """Free windows and drawing contexts."""
+        """Release all windows and rendering contexts."""
         for renderer in self._renderers.values():
             renderer.close()
         self._renderers.clear()
@@ -277,7 +277,7 @@ class Pictures:
 
 @cache
 def warn_once(text: str) -> None:
-    """Log a warning, but only once per text."""
+    """Log a warning once per text."""
     gymnasium.logger.warn(text)
 
 

@@ -1,4 +1,4 @@
-"""Light, ground texture, ruler and cameras for drawing. They do not affect the physics."""
+"""Light, ground texture, ruler and cameras for rendering. They do not affect the physics."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import mujoco
 
 from caterpillar_env.morphology import Morphology, length_m
 
-#: Cameras that follow the robot: obliquely, from the side, from above.
+#: Cameras that follow the robot, with an oblique view, a side view and a top view.
 Camera = Literal["track", "side", "top"]
 CAMERAS: tuple[Camera, ...] = get_args(Camera)
 RULER = "ruler"
@@ -21,7 +21,7 @@ _RULER_Y_M = -0.045
 _PIXELS_PER_CM = 32
 _SKY, _HORIZON = [0.80, 0.87, 0.93], [0.93, 0.95, 0.96]
 
-#: Position of cameras relative to the centre of mass, in body lengths, and their x and y axes.
+#: Camera positions relative to the centre of mass, in body lengths, and camera x and y axes.
 _VIEWS: dict[Camera, tuple[list[float], list[float]]] = {
     "track": ([0.0, -1.55, 0.85], [1, 0, 0, 0, 0.48, 0.877]),
     "side": ([0.0, -1.75, 0.42], [1, 0, 0, 0, 0.233, 0.972]),
@@ -30,7 +30,7 @@ _VIEWS: dict[Camera, tuple[list[float], list[float]]] = {
 
 
 def add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
-    """Add light, sky, a ground texture with squares of 2 cm, and a ruler along x."""
+    """Add light, sky, a ground texture with 2 cm squares, and a ruler along x."""
     spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
     spec.visual.headlight.diffuse = [0.25, 0.25, 0.25]
     spec.visual.map.znear = 0.02
@@ -74,7 +74,7 @@ def add_cameras(head: mujoco.MjsBody, segments: Sequence[Morphology], make: Call
 
 
 def remove_ruler_picture(spec: mujoco.MjSpec) -> None:
-    """Replace the ruler's picture by squares of 1 cm, since MJCF cannot store the picture."""
+    """Replace the ruler's image by 1 cm squares, because MJCF cannot store the image."""
     first, last = _RULER_CM
     texture = spec.texture(RULER)
     texture.data, texture.width, texture.height = b"", 64, 64
@@ -89,7 +89,7 @@ def _add_material(spec: mujoco.MjSpec, texture: str, **kwargs: Any) -> None:
 
 
 def _add_ruler(spec: mujoco.MjSpec) -> None:
-    """Add the ruler. The renderer moves its zero to the initial centre of mass."""
+    """Add the ruler. The renderer moves its zero mark to the initial centre of mass."""
     first, last = _RULER_CM
     width, height, pixels = _ruler_picture()
     texture = spec.add_texture(

@@ -1,4 +1,4 @@
-"""Videos of one robot, or of several side by side at the same simulated time."""
+"""Videos of one robot, or of several robots side by side."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ Frame = NDArray[np.uint8]
 _SINGLE_PX, _TILE_PX = (640, 480), (480, 360)
 _MIN_TILE_PX = 64
 _GAP_PX = 2  # between tiles
-_USABLE_M = 100.0  # limit of the coordinates of a drawable pose
-_HOLD_S = 1.0  # duration of the still at the end
-# GIF: one palette for the whole video, and ordered dithering, which compresses well.
+_USABLE_M = 100.0  # coordinate limit of a drawable pose
+_HOLD_S = 1.0  # duration of the still image at the end
+# GIFs use one palette for the whole video, and ordered dithering because it compresses well.
 _PALETTE = (
     "split[a][b];[a]palettegen=max_colors=128:stats_mode=full[p];"
     "[b][p]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
 )
 _FILTERS = {".mp4": [], ".gif": ["-filter_complex", _PALETTE]}
-#: Arguments of `imageio_ffmpeg.write_frames`. GIF frames last whole hundredths of a second.
+#: Arguments of `imageio_ffmpeg.write_frames`. GIF frame times are multiples of 10 ms.
 _ENCODING: dict[str, dict[str, Any]] = {
     ".mp4": {"fps": 25.0, "quality": 7},
     ".gif": {"fps": 12.5, "quality": None, "codec": "gif", "pix_fmt_out": "pal8"},
@@ -60,11 +60,11 @@ class VideoConfig:
     speed: float = 2.0
     """Simulated seconds per second of video."""
     width: int | None = None
-    """Picture width, pixels, even; by default 640, or 480 per column with several robots."""
+    """Frame width in pixels, even; by default 640, or 480 per column with several robots."""
     height: int | None = None
-    """Picture height, pixels, even; by default 480, or 360 per row with several robots."""
+    """Frame height in pixels, even; by default 480, or 360 per row with several robots."""
     camera: Camera = "track"
-    """Camera; all cameras follow the robot."""
+    """Name of the camera. All cameras follow the robot."""
 
     def __post_init__(self) -> None:
         if not 0 < self.speed < math.inf:
@@ -79,7 +79,7 @@ class VideoConfig:
                 )
 
     def layout(self, count: int) -> tuple[int, int, int, int]:
-        """Return the picture's width and height, and the number of columns and rows for `count` tiles.
+        """Return the frame width and height, and the number of columns and rows, for `count` tiles.
 
         Raises:
             VideoError: the tiles would be too small.
@@ -97,12 +97,12 @@ class VideoConfig:
 
 
 class Recording:
-    """The simulated motion of a robot, to be drawn any number of times.
+    """Simulated motion of a robot, which can be drawn repeatedly.
 
     Args:
         robot: the robot to simulate.
-        title: text written on its pictures.
-        timestep_s: physics timestep, s; that of the robot by default.
+        title: text to write on the frames.
+        timestep_s: physics timestep, s; by default that of the robot.
     """
 
     def __init__(self, robot: AnyRobot, title: str = "", *, timestep_s: float | None = None) -> None:
@@ -110,7 +110,7 @@ class Recording:
         self.robot, self.title = robot, title
         self.outcomes: Outcomes = robot.simulate(timestep_s, on_interval=traces.append)
         qpos = np.concatenate([t.qpos[0] for t in traces])
-        # Cut the trace where a diverging robot can no longer be drawn.
+        # Cut the trace at the first pose of a diverging robot that cannot be drawn.
         shown = max(1, int(np.cumprod((np.abs(qpos) < _USABLE_M).all(axis=1)).sum()))
         self.qpos = qpos[:shown]  #: after each thermal step, (steps, nq)
         self.temperature_c = np.concatenate([t.temperature_c[0] for t in traces])[:shown]
@@ -119,20 +119,20 @@ class Recording:
 
     @property
     def duration_s(self) -> float:
-        """Simulated time until the end or the failure, s."""
+        """Simulated time until the end of the episode or the failure, s."""
         return len(self.qpos) * SMA_STEP_S
 
     @contextmanager
     def open_view(
         self, width: int, height: int, camera: Camera, view_length_m: float
     ) -> Iterator[Callable[[float], Frame]]:
-        """Yield a function that draws the robot at a given time, s; times after the end show the end.
+        """Yield a function that draws the robot at a given time, s. Later times show the final pose.
 
         Args:
-            width: picture width, pixels.
-            height: picture height, pixels.
+            width: frame width, pixels.
+            height: frame height, pixels.
             camera: name of the camera.
-            view_length_m: body length that fits in the picture.
+            view_length_m: body length that must fit in the frame.
         """
         renderer = RobotRenderer(
             self.robot.morphology, self.robot.physics, View(width, height, camera),
@@ -141,7 +141,7 @@ class Recording:
         start_m = renderer.centre_of_mass(self.qpos[0])[0]
         failure, last = label(self.outcomes.failure[0]), len(self.qpos) - 1
 
-        @lru_cache(maxsize=1)  # repeated frames are drawn once
+        @lru_cache(maxsize=1)  # draw repeated frames once
         def draw_step(step: int) -> Frame:
             readout = Readout(
                 (step + 1) * SMA_STEP_S,
@@ -162,13 +162,13 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
     """Write a video of robots side by side, at the same simulated time and scale.
 
     Args:
-        recordings: one or more robots.
-        path: path of the file, .mp4 or .gif.
+        recordings: one or more recorded robots.
+        path: path of the .mp4 or .gif file.
         config: speed, size and camera.
 
     Raises:
-        RenderingError: drawing is not possible on this machine.
-        VideoError: the file type is unknown, the pictures are too small, or writing fails.
+        RenderingError: rendering is not possible on this machine.
+        VideoError: the file type is unknown, the tiles are too small, or writing fails.
     """
     config = config or VideoConfig()
     check_path(path)
@@ -183,7 +183,7 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
             stack.enter_context(r.open_view(*tile, config.camera, view_length_m)) for r in recordings
         ]
         for draw in draws:
-            draw(0.0)  # raises errors before the file is created
+            draw(0.0)  # raise errors before the file is created
         canvas = np.full((height, width, 3), 255, dtype=np.uint8)
         stack.callback(partial.unlink, missing_ok=True)
         comment = f"comment={' '.join(recording.robot.digest for recording in recordings)}"
@@ -209,7 +209,7 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
 
 
 def is_video_of(path: Path, robot: AnyRobot) -> bool:
-    """Return whether `write_video` wrote this file for this robot, by the digest in its metadata."""
+    """Return whether `write_video` wrote this file for this robot. The metadata contain its digest."""
     read = [
         imageio_ffmpeg.get_ffmpeg_exe(),
         "-loglevel",
@@ -228,11 +228,11 @@ def check_path(path: Path) -> None:
     """Check that a video can be written to `path`.
 
     Raises:
-        VideoError: the suffix is not .mp4 or .gif, or the folder is missing or not writable.
+        VideoError: the suffix is not .mp4 or .gif, or the folder does not exist or is not writable.
     """
     if path.suffix not in _ENCODING:
         raise VideoError(f"a video must be an .mp4 or a .gif file; got {path}")
     folder = path.parent
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         reason = "is not writable" if folder.is_dir() else "is not a folder"
-        raise VideoError(f"cannot write {path}: {folder} {reason}; choose another path with --out")
+        raise VideoError(f"cannot write {path}: {folder} {reason}; choose a different path with --out")

@@ -1,4 +1,4 @@
-"""Checks of the physics, which `caterpillar validate` and the tests run.
+"""Physics checks that `caterpillar validate` and the tests run.
 
 The references are closed forms, data sheets, symmetries, conservation laws and finer timesteps.
 """

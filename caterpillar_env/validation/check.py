@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Check(NamedTuple):
-    """Expected and computed value, and whether they agree within the tolerance."""
+    """A row of the validation table: expected value, computed value, tolerance and result."""
 
     name: str
     expected: str

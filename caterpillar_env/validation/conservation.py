@@ -18,7 +18,7 @@ _TIMESTEPS_S = (0.005, 0.0025, 0.001)
 
 
 def drift_m(physics: Physics, count: int, duration_s: float) -> Array:
-    """Return how far the centres of mass of `count` robots drift without friction, m, (count,)."""
+    """Return the centre-of-mass drift of `count` robots without friction, m, (count,)."""
     slippery = replace(physics, friction=0.0)
     robots = stack_power(wave_robots(count, 5, slippery))
     end = crawl_for(duration_s, *robots, slippery, stop_on_failure=False).progress()
@@ -29,7 +29,8 @@ def check_momentum(*, quick: bool) -> list[Check]:
     """Check that the drift is proportional to the timestep, and almost zero with Runge-Kutta.
 
     Without friction there are no horizontal forces, so the centre of mass must not move horizontally.
-    The default integrator is of first order in joint coordinates, and conserves momentum approximately.
+    The default integrator is of first order in joint coordinates and only approximately conserves
+    momentum.
     """
     count, duration_s = (6, 10.0) if quick else (12, EPISODE_S)
     drifts = [
@@ -53,7 +54,7 @@ def check_momentum(*, quick: bool) -> list[Check]:
 def check_energy(*, quick: bool) -> list[Check]:
     """Check that bent robots released without power lose energy monotonically.
 
-    On the ground the soft contacts store energy and return part of it.
+    On the ground, soft contacts store energy and return part of it.
     """
     physics = Physics()
     count, duration_s = (6, 2.0) if quick else (20, 5.0)

@@ -1,6 +1,6 @@
 """Comparison of the default numerical settings with two references at a timestep of 0.25 ms.
 
-One reference uses the default integrator, the independent one the fourth-order Runge-Kutta method.
+One reference uses the default integrator. The independent one uses the fourth-order Runge-Kutta method.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from caterpillar_env.validation.robots import (
 )
 
 SPREAD = 10  #: number of evolved robots whose intrinsic spread is measured
-INDEPENDENT = 12  #: number of evolved robots simulated with the independent (ten times slower) reference
+INDEPENDENT = 12  #: number of evolved robots for the independent reference, which is ten times slower
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Outcomes of robots with the default settings and with the references."""
+    """Outcomes of robots with the default settings and with the reference settings."""
 
     default: Outcomes
     reference: Outcomes
     evolved: NDArray[np.bool_]  #: True for evolved robots, False for random ones
-    #: Change of the first `SPREAD` evolved robots' reference distances when the start moves by 1 um.
+    #: Reference distance changes of the first `SPREAD` evolved robots if the start moves by 1 um.
     spread_m: Array
-    independent: Outcomes | None = None  #: of the first evolved robots, with the Runge-Kutta integrator
+    independent: Outcomes | None = None  #: Runge-Kutta results of the first evolved robots
 
     def agreement(self, evolved: bool) -> float:
         """Return the share of robots that fail in both simulations or in neither."""
@@ -58,13 +58,13 @@ class Comparison:
         return healthy
 
     def errors(self) -> Array:
-        """Return the relative errors of the distances of healthy evolved robots."""
+        """Return the relative distance errors of healthy evolved robots."""
         who = self.healthy & self.evolved
         fine = self.reference.distance_m[who]
         return np.abs(self.default.distance_m[who] - fine) / np.abs(fine)
 
     def independent_errors(self) -> Array:
-        """Return the relative errors of the distances against the independent reference."""
+        """Return the relative distance errors with respect to the independent reference."""
         assert self.independent is not None
         exact = self.independent.distance_m
         ours = self.default.distance_m[self.evolved][: len(exact)]
@@ -73,14 +73,14 @@ class Comparison:
         return errors
 
     def rank_correlation(self) -> float:
-        """Return Spearman's coefficient over healthy robots of both kinds."""
+        """Return Spearman's rank correlation of the distances of all healthy robots."""
         who = self.healthy
         pair = (self.default.distance_m[who], self.reference.distance_m[who])
         return float(spearmanr(*pair).statistic)
 
 
 def compare(*, quick: bool) -> Comparison:
-    """Simulate random and evolved robots with the default settings and the references."""
+    """Simulate random and evolved robots with the default and the reference settings."""
     physics, duration_s = Physics(), 10.0 if quick else EPISODE_S
     fine = replace(physics, timestep_s=0.001 if quick else 0.00025)
     exact = replace(fine, integrator="rk4", timestep_s=0.0005 if quick else 0.00025)
@@ -102,7 +102,7 @@ def compare(*, quick: bool) -> Comparison:
 
 
 def check_timestep(result: Comparison) -> list[Check]:
-    """Check agreement, rank correlation and errors of the distances."""
+    """Check failure agreement, rank correlation and distance errors."""
     errors = result.errors()
     fine = np.abs(result.reference.distance_m[result.evolved][: len(result.spread_m)])
     spread = float(np.median(result.spread_m / fine))
@@ -122,7 +122,7 @@ def check_timestep(result: Comparison) -> list[Check]:
 
 
 def plot(result: Comparison, path: Path) -> None:
-    """Plot default over reference distances, and the distribution of errors and intrinsic spread."""
+    """Plot default against reference distances, and the distributions of errors and spread."""
     figure = Figure(figsize=(10, 4.5), layout="constrained")
     left, right = figure.subplots(1, 2)
     fine, coarse = 1000 * result.reference.distance_m, 1000 * result.default.distance_m
@@ -147,7 +147,7 @@ def plot(result: Comparison, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-#: Settings to compare, each with a reference of the same physical parameters.
+#: Settings to compare. Each is compared with a reference of the same physical parameters.
 SETTINGS: dict[str, dict[str, Any]] = {
     "default": {},
     "timestep 10 ms": {"timestep_s": 0.01},
@@ -176,8 +176,8 @@ def compare_settings(count: int = 16, duration_s: float = EPISODE_S) -> list[dic
     """Compare accuracy and cost of `SETTINGS` on the first `count` evolved robots.
 
     Returns:
-        One row per setting: cost in microseconds per simulated millisecond and robot on one thread, and
-        median relative error, rank correlation and agreement of failures with a timestep of 0.5 ms.
+        One row per setting: cost in microseconds per simulated millisecond and robot on one thread.
+        Median relative error, rank correlation and failure agreement refer to a timestep of 0.5 ms.
     """
     robots = stack_robots(evolved_robots(count))
     references: dict[str, Outcomes] = {}

@@ -1,6 +1,6 @@
-"""Gait metrics: speed, slip, load on the body, joint limits, cost of transport.
+"""Gait metrics: speed, slip, body load, joint limits and cost of transport.
 
-They are measured by repeating the simulation in a plain MuJoCo loop that reads every contact.
+They are measured by replaying the simulation in a plain MuJoCo loop that reads every contact.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from caterpillar_env.validation.recorder import record_calls
 
 
 class Gait(NamedTuple):
-    """Metrics of one robot's gait in an episode."""
+    """Gait metrics of one robot in an episode."""
 
     distance_m: float  #: along the initial heading
     best_tenth: float  #: share of the distance covered in the best tenth of the gait period
     peak_speed_m_s: float  #: of the centre of mass, averaged over 10 ms
-    slip: float  #: load-weighted sliding distance of the feet, over the distance
+    slip: float  #: load-weighted sliding distance of the feet, relative to the distance
     body_load: float  #: share of the ground load carried by the body instead of the feet
     overrun: float  #: largest excess of a joint over its limit, relative to the limit
     cost_of_transport: float  #: electrical energy / (weight * distance)
@@ -38,8 +38,8 @@ def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
     """Simulate a robot and measure its gait.
 
     Args:
-        robot: body, gait and physics.
-        duration_s: maximum duration; rounded down to whole gait periods, at least one.
+        robot: robot to simulate.
+        duration_s: maximum duration, s. It is rounded down to whole gait periods, but at least one.
     """
     physics, period_s = robot.physics, robot.timings.period_s
     periods = max(1, int(duration_s / period_s + 1e-9))
@@ -78,7 +78,7 @@ def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
 class _Path(NamedTuple):
     """Measurements of the plain loop; see `Gait`."""
 
-    qpos: Array  #: at the end
+    qpos: Array  #: final pose, (nq,)
     com_m: Array  #: centre of mass before each step and after the last, (K + 1, 3)
     slip_m: float
     body_load: float
@@ -115,7 +115,7 @@ def _replay(model: mujoco.MjModel, control: Array) -> _Path:
 
 
 def measure_gaits(robots: Sequence[Robot], *, quick: bool) -> list[Gait]:
-    """Measure the gaits of robots over an episode, or a third of one if `quick`."""
+    """Measure the gaits of robots in an episode, or in a third of an episode if `quick`."""
     return [measure_gait(robot, EPISODE_S / 3 if quick else EPISODE_S) for robot in robots]
 
 

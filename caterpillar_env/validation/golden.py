@@ -22,8 +22,8 @@ from caterpillar_env.validation.check import Check
 from caterpillar_env.validation.robots import evolved_robots, random_robots
 
 FILE = Path(__file__).with_name("golden.json")
-SAMPLE_S = 3.0  #: time between recorded points
-TOLERANCE_M = 1e-6
+SAMPLE_S = 3.0  #: time between recorded points, s
+TOLERANCE_M = 1e-6  #: maximum deviation of a coordinate, m
 _STEADY_M = 1e-8  #: limit on the effect of moving the start of a recorded robot by 1 nm
 _KINDS = {"evolved": 4, "random": 2}
 
@@ -36,12 +36,12 @@ ADVICE = (
 
 
 def describe_platform() -> str:
-    """Return MuJoCo's version and the machine type, on which trajectories also depend."""
+    """Return the MuJoCo version and the machine type. Trajectories depend on both."""
     return f"MuJoCo {mujoco.__version__} on {platform.machine()}"
 
 
 def compute_trajectory(robot: Robot, offset_m: float = 0.0) -> tuple[Array, str]:
-    """Return the centre of mass every `SAMPLE_S` of an episode, m, (10, 3), and the failure.
+    """Return the centre of mass at intervals of `SAMPLE_S`, m, (10, 3), and the failure.
 
     `offset_m` is added to the initial position of every internal joint.
     """

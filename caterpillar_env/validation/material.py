@@ -23,7 +23,7 @@ def check_closed_forms() -> list[Check]:
     """Check heating, pulses, stroke, hysteresis and energy of one spring against closed forms."""
     return [
         *_first_order_heating(),
-        _least_current(),
+        _minimum_current(),
         _adiabatic_pulse(),
         _isotonic_stroke(),
         *_branch_midpoints(),
@@ -60,7 +60,7 @@ def _first_order_heating() -> list[Check]:
     return checks
 
 
-def _least_current() -> Check:
+def _minimum_current() -> Check:
     spring = SmaSpring()
     loss = spring.cooling_w_kg_k * spring.mass_per_m_kg  # h s pi d
     expected = math.sqrt(
@@ -142,7 +142,7 @@ def _partial_loops() -> list[Check]:
 
 
 def _energy_balance() -> Check:
-    """Check that the supplied energy is stored or lost, integrating the loss from the temperatures."""
+    """Check the energy balance. The heat loss is integrated from the temperatures."""
     spring = SmaSpring()
     rng = np.random.default_rng(0)
     step_s, steps = 0.01, 3000
@@ -159,7 +159,7 @@ def _energy_balance() -> Check:
 
 
 class WireRow(NamedTuple):
-    """A row of Dynalloy's table (Flexinol F1140): straight wire in still air."""
+    """A row of Dynalloy's table for straight wire in still air (Flexinol F1140)."""
 
     diameter_mm: float
     resistance_ohm_m: float
@@ -216,7 +216,7 @@ def straight_wire(row: WireRow, *, high_temperature: bool) -> SmaSpring:
 
 
 def transformation_times_s(spring: SmaSpring) -> tuple[float, float]:
-    """Return the times from ambient to 90 % austenite, and from 100 % at Af to 10 %, s."""
+    """Return the heating time from ambient to 90 % austenite and the cooling time from Af to 10 %, s."""
     step_s = 0.005
     heating = _run(spring, np.ones(400), step_s)
     hot = SmaState.at(spring, np.array([spring.austenite_finish_c]), np.ones(1))
@@ -228,7 +228,7 @@ def transformation_times_s(spring: SmaSpring) -> tuple[float, float]:
 
 
 def check_dynalloy() -> list[Check]:
-    """Check heating and cooling times of high-temperature wire, which were not used for fitting."""
+    """Check heating and cooling times of high-temperature (HT) wire. No parameter was fitted to them."""
     checks = [
         check_near(
             "convection of a 0.15 mm wire", SmaSpring().convection_w_m2_k,
@@ -246,7 +246,7 @@ def check_dynalloy() -> list[Check]:
 
 
 def plot(path: Path) -> None:
-    """Plot the times of model and data sheet, and the hysteresis loop of the default spring."""
+    """Plot the times of the model and the data sheet, and the hysteresis loop of the default spring."""
     figure = Figure(figsize=(11, 4), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     diameters = [row.diameter_mm for row in DYNALLOY]

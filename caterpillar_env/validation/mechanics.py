@@ -57,7 +57,7 @@ def _spring_forces() -> Check:
 
 
 def _deflections() -> list[Check]:
-    """Check that a joint under a constant load rests where its stiffness balances the load."""
+    """Check that a joint under a constant load deflects until its stiffness balances the load."""
     physics = Physics()
     neck = physics.neck_stiffness_n_m_rad
     bend = physics.bend_ratio * neck
@@ -82,7 +82,7 @@ def _deflections() -> list[Check]:
 
 
 def _standing() -> list[Check]:
-    """Check that the ground carries the weight of an unpowered robot, which sags only slightly."""
+    """Check that the ground carries the weight of an unpowered robot and that its sag is small."""
     physics = Physics()
     model, data = _nominal_robot(physics)
     mujoco.mj_step(model, data, nstep=round(10.0 / model.opt.timestep))
@@ -109,18 +109,18 @@ def _free_fall() -> Check:
     data.qpos[2] = 10.0
     mujoco.mj_forward(model, data)
     start = float(data.subtree_com[1, 2])
-    mujoco.mj_step(model, data, nstep=1001)  # subtree_com lags one step
+    mujoco.mj_step(model, data, nstep=1001)  # subtree_com lags by one step
     return check_near(
         "free fall in 1 s", GRAVITY_M_S2 / 2, start - float(data.subtree_com[1, 2]), "m", rel=2e-3
     )
 
 
 def _slope() -> list[Check]:
-    """Check that an unpowered robot on a slope (tilted gravity) slides if the angle exceeds atan(mu).
+    """Check that an unpowered robot slides on a slope (tilted gravity) only beyond an angle of atan(mu).
 
-    The body is stiff, so that it slides as a block. Since it chatters, the friction over half a second
-    is mu times the normal impulse, which includes the change of the normal velocity. After that the
-    block starts to turn, and friction no longer points along the slope.
+    The body is stiff, so it slides as a block. The block chatters, so friction is averaged over half a
+    second: it is mu times the normal impulse, including the change of the normal velocity. Later the
+    block turns, and friction no longer points along the slope.
     """
     checks = []
     friction, duration_s = 0.4, 0.5
@@ -145,7 +145,7 @@ def _slope() -> list[Check]:
 
 
 def _com_velocity(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Return the velocity of the robot's centre of mass, m/s, (3,)."""
+    """Return the centre-of-mass velocity, m/s, (3,)."""
     mujoco.mj_forward(model, data)
     mujoco.mj_subtreeVel(model, data)
     velocity: Array = data.subtree_linvel[1].copy()
@@ -153,9 +153,9 @@ def _com_velocity(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
 
 
 def check_symmetries(*, quick: bool) -> list[Check]:
-    """Check that robots without mismatch go straight in any direction, and that mirroring works.
+    """Check straight crawling without mismatch, independence of the heading, and mirror symmetry.
 
-    The solver's tolerance and stick-slip amplify rounding errors. The tolerance of these checks is
+    Stick-slip and the limited solver tolerance amplify rounding errors. The tolerance of these checks is
     therefore the effect of moving the start of the same robots by a micrometre.
     """
     count, duration_s = (12, 10.0) if quick else (20, EPISODE_S)
@@ -189,9 +189,9 @@ def check_symmetries(*, quick: bool) -> list[Check]:
             uneven_mm,
         ),
     ):
-        allowed_mm = np.maximum(intrinsic_mm, 1e-3)  # differences below a micrometre are ignored
+        allowed_mm = np.maximum(intrinsic_mm, 1e-3)  # ignore differences below 1 um
         median_mm, limit_mm = float(np.median(got_mm)), float(np.median(allowed_mm))
-        # Robots may buckle to either side by chance, so one in ten may exceed the tolerance.
+        # Robots buckle to either side by chance, so one in ten may exceed the tolerance.
         beyond = float((got_mm > allowed_mm).mean())
         checks += [
             check_at_most(f"{what}: median", limit_mm, median_mm, "mm"),
@@ -203,7 +203,7 @@ def check_symmetries(*, quick: bool) -> list[Check]:
 def check_rest(*, quick: bool) -> list[Check]:
     """Check that robots come to rest without power and with full power, and then hardly creep.
 
-    A few robots first lean over slowly and buckle, within a minute.
+    Some robots lean over slowly and buckle first, so the check begins after a minute.
     """
     count, settle_s, watch_s = (8, 60.0, 10.0) if quick else (60, 60.0, 30.0)
     physics = Physics()
@@ -230,7 +230,7 @@ def check_failures(healthy: Sequence[Robot]) -> list[Check]:
     """Check that each kind of failure is detected, and that healthy robots do not fail."""
     physics = Physics()
     poses = {
-        # height of the head's centre (m), roll, yaw (rad)
+        # height of the head centre (m), roll, yaw (rad)
         "flipped": (0.013, math.pi, 0.0),
         "tipped": (0.016, math.pi / 2, 0.0),
         "jumped": (0.124, 0.0, 0.0),
@@ -269,9 +269,9 @@ def check_failures(healthy: Sequence[Robot]) -> list[Check]:
 
 
 def _steered() -> list[Check]:
-    """Check that a robot turns to opposite sides when only its left or right springs are powered.
+    """Check that powering only the left or only the right springs turns a robot in opposite directions.
 
-    The threshold is 10 degrees, since no robot turns by the default of 45.
+    The threshold is 10 degrees, because no robot turns by the default of 45 degrees.
     """
     physics = Physics(mismatch_std=0.0)
     bodies, power = stack_power([random_robots(200, 7, physics)[184]])

@@ -1,4 +1,4 @@
-"""Record the calls of a simulation to its engine, and repeat them on another engine."""
+"""Record the engine calls of a simulation and repeat them on a different engine."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from caterpillar_env.simulation import Simulation
 
 
 class EngineCalls:
-    """The calls of a `Simulation` to its engine since its last reset.
+    """Engine calls of a `Simulation` since its last reset.
 
-    Repeating them measures the engine alone, without springs, failure checks and observations.
+    Repeating them measures the engine alone, without spring model, failure checks and observations.
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -36,14 +36,14 @@ class EngineCalls:
         return batch
 
     def repeat(self, batch: Batch, first: int = 0, last: int | None = None) -> None:
-        """Repeat the calls `first` to `last` (exclusive) on an engine that has made all earlier ones."""
+        """Repeat calls `first` to `last` (exclusive) on an engine that has made all previous calls."""
         for name, call in self.calls[first:last]:
             getattr(batch, name)(**call)
 
 
 @contextmanager
 def record_calls(simulation: Simulation) -> Iterator[EngineCalls]:
-    """Record the engine calls of a simulation within the block. Reset the simulation just before."""
+    """Record the engine calls made within the block. Reset the simulation just before entering it."""
     recording, batch = EngineCalls(simulation), simulation.engine
 
     class Recorder:

@@ -1,6 +1,6 @@
-"""Robots for the validation: random, with wave gaits, and evolved (stored as data).
+"""Robots for the validation: random robots, robots with wave gaits, and stored evolved robots.
 
-Evolution exploits errors of a simulator that random robots do not reveal. After a change of the physics,
+Evolution exploits simulator errors that random robots do not reveal. After a change of the physics,
 evolve new robots with `python -m benchmarks.validation_robots`.
 """
 
@@ -33,12 +33,12 @@ def random_robots(count: int, seed: int, physics: Physics) -> list[Robot]:
 
 
 def wave_robots(count: int, seed: int, physics: Physics) -> list[Robot]:
-    """Return robots with random bodies, whose springs are heated in a wave from the tail."""
+    """Return robots with random bodies and gaits that heat the springs in a wave from the tail."""
     rng = np.random.default_rng(seed)
     gaps = physics.num_segments - 1
     bodies = [Morphology.from_unit(rng.random(8)) for _ in range(count)]
     lag, offset = rng.uniform(-0.35, -0.15, (count, 1, 1)), rng.uniform(0.4, 0.6, (count, 1, 1))
-    duty = rng.uniform(0.15, 0.25, (count, 1, 2))  # of dorsal and ventral pairs
+    duty = rng.uniform(0.15, 0.25, (count, 1, 2))  # for dorsal and ventral pairs
     on = (lag * np.arange(gaps)[:, None] + offset * np.arange(2)) % 1.0
     off = (on + duty) % 1.0
     on_s, off_s = (GAIT_PERIOD_S * share.reshape(count, -1) for share in (on, off))
@@ -70,7 +70,7 @@ def stack_robots(robots: Sequence[Robot]) -> tuple[list[Body], GaitTimings]:
 
 
 def stack_power(robots: Sequence[Robot]) -> tuple[list[Body], Array]:
-    """Return bodies, and the power in a gait period for `Crawl.run`, (R, steps, springs)."""
+    """Return bodies, and power over one gait period for `Crawl.run`, (R, steps, springs)."""
     bodies, timings = stack_robots(robots)
     return bodies, timings.of_springs(robots[0].physics.num_springs).power(SMA_STEP_S)
 
@@ -82,8 +82,8 @@ def crawl_for(
 ) -> Crawl:  # fmt: skip
     """Simulate robots for `duration_s`, repeating one period of power (R, steps, springs).
 
-    `offset_m` changes the initial state slightly, to measure how sensitive the result is. It is added to
-    every axial joint; hinges turn so that the centre of the element behind moves by the same length.
+    `offset_m` slightly changes the initial state to measure the sensitivity of the result. It is added
+    to every axial joint. Hinges turn so that the centre of the element behind moves by the same length.
     """
     crawl = Crawl(bodies, physics, thresholds=thresholds, stop_on_failure=stop_on_failure)
     axial = np.array([n.startswith("axial") for n in joint_names(physics.num_segments)])

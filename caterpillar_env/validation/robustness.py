@@ -1,4 +1,4 @@
-"""Sensitivity of evolved robots to changes of the physics and of their genes."""
+"""Sensitivity of evolved robots to changes of physics parameters and genes."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from caterpillar_env.validation.check import Check, check_near
 from caterpillar_env.validation.robots import stack_robots
 
 STOPS = "softness of the joint stops 2.5 / 10 ms"
-SHARES = (0.01, 0.03, 0.10)  #: changes of a gene, relative to its range; for times, to the gait period
+SHARES = (0.01, 0.03, 0.10)  #: gene changes, relative to the gene range or to the gait period
 SEED = 12
 
-#: Label, field of `Physics` or its spring, low and high value.
+#: Label, field of `Physics` or of its spring, low value, high value.
 _PARAMETERS: tuple[tuple[str, str, float, float], ...] = (
     ("friction 0.4 / 1.2", "friction", 0.4, 1.2),
     ("neck stiffness 3e-3 / 12e-3 N m/rad", "neck_stiffness_n_m_rad", 3e-3, 12e-3),
@@ -56,7 +56,7 @@ def _change(physics: Physics, field: str, value: float) -> Physics:
 
 
 def vary_parameters(robots: Sequence[Robot]) -> tuple[Array, list[Swing]]:
-    """Return the unchanged distances, m, (robots,), and those with each parameter low and high."""
+    """Return the unchanged distances, m, (robots,), and the distances with changed parameters."""
     bodies, timings = stack_robots(robots)
     physics = robots[0].physics
 
@@ -96,7 +96,7 @@ def check_stops(robots: Sequence[Robot]) -> list[Check]:
 
 
 def plot_parameters(base_m: Array, swings: Sequence[Swing], path: Path) -> None:
-    """Plot distances relative to the unchanged robots: a dot per robot, a bar for the median."""
+    """Plot distances relative to the unchanged robots, with one dot per robot and median bars."""
     figure = Figure(figsize=(9, 0.55 * len(swings) + 1.4), layout="constrained")
     axis = figure.subplots()
     order = sorted(
@@ -119,7 +119,8 @@ def plot_parameters(base_m: Array, swings: Sequence[Swing], path: Path) -> None:
 def perturb_genes(robot: Robot, share: float, rng: np.random.Generator) -> list[Robot]:
     """Return one robot per gene, with that gene changed up or down by `share` of its range.
 
-    If a body gene would leave its bounds, it changes the other way. Times wrap around the gait period.
+    A body gene changes in the opposite direction if it would leave its bounds. Times wrap around the
+    gait period.
     """
     assert isinstance(robot.morphology, Morphology)
     unit, period_s = robot.morphology.to_unit(), robot.timings.period_s
@@ -151,12 +152,12 @@ def vary_genes(robots: Sequence[Robot], duration_s: float = EPISODE_S) -> Array:
 
 
 def plot_genes(ratios: Array, names: Sequence[str], path: Path) -> None:
-    """Plot quartiles of the relative distances for each gene and size of the change.
+    """Plot quartiles of the relative distances for each gene and each change.
 
     Args:
         ratios: result of `vary_genes`.
         names: names of the genes.
-        path: picture to write.
+        path: image file to write.
     """
     figure = Figure(figsize=(9, 0.42 * len(names) + 1.6), layout="constrained")
     axis = figure.subplots()

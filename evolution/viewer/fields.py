@@ -1,4 +1,4 @@
-"""The numbers of a robot that the sliders change: its friction and its genes."""
+"""Robot parameters that the sliders change: friction and genes."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from caterpillar_env.morphology import PARAMETERS, Morphology
 from caterpillar_env.robot import Robot
 from evolution.genome import Encoding, Gene, GenomeKind, gene_values
 
-_FRICTION_BOUNDS = (0.05, 1.5)  # plausible values are 0.4 to 1.2 (docs/sources.md)
+_FRICTION_BOUNDS = (0.05, 1.5)  # plausible values: 0.4 to 1.2 (docs/sources.md)
 
 
 @dataclass(frozen=True)
 class Field:
-    """One number of a robot, in the unit of its slider."""
+    """One parameter of a robot, in the unit of its slider."""
 
-    index: int  #: among all fields of the robot
-    folder: str  #: heading above the slider; empty for none
-    gene: Gene  #: name, unit and bounds; friction, which is not evolved, has one too
+    index: int  #: position in the list of fields
+    folder: str  #: heading above the slider; empty for no heading
+    gene: Gene  #: name, unit and bounds; friction has a gene although it is not evolved
 
     @property
     def decimals(self) -> int:
@@ -30,24 +30,24 @@ class Field:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Lower and upper end of the slider."""
+        """Minimum and maximum of the slider."""
         return self._round(self.gene.lower), self._round(self.gene.upper)
 
     def read(self, robot: Robot) -> float:
-        """The number, rounded to `decimals`."""
+        """Return the value of the field, rounded to `decimals`."""
         return self._round(_values(robot)[self.index])
 
     def write(self, robot: Robot, value: float) -> Robot:
-        """The robot with another number and without its record; itself if it shows that number.
+        """Return a robot with a new value of the field and without a recorded fitness.
 
-        A value out of bounds is replaced by the nearest bound.
+        Values out of bounds are clipped. If the slider already shows the value, return `robot` itself.
         """
         lower, upper = self.bounds
         value = min(upper, max(lower, value))
         if value == self.read(robot):
             return robot
         values = _values(robot)
-        # The rounded end of a slider can lie beyond the bound: 57.3° is more than 1 rad.
+        # The rounded end of a slider can exceed the bound: 57.3° is more than 1 rad.
         values[self.index] = np.clip(value / self.gene.shown[0], self.gene.lower, self.gene.upper)
         return _with_values(robot, values)
 
@@ -56,7 +56,7 @@ class Field:
 
 
 def fields_of(robot: Robot) -> list[Field]:
-    """All fields of a robot: friction, the parameters of its body, the times of its gait."""
+    """Return all fields of a robot: friction, body parameters and gait times."""
     friction = robot.physics.friction
     lower, upper = min(_FRICTION_BOUNDS[0], friction), max(_FRICTION_BOUNDS[1], friction)
     kind: GenomeKind = "full" if len(robot.timings.on_s) == robot.physics.num_springs else "shared"
@@ -71,7 +71,7 @@ def fields_of(robot: Robot) -> list[Field]:
 
 
 def _values(robot: Robot) -> Array:
-    """The exact numbers of all fields in SI units, (fields,)."""
+    """Return the exact values of all fields in SI units, (fields,)."""
     return np.append(robot.physics.friction, gene_values([robot.morphology], robot.gaits))
 
 

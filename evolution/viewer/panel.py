@@ -1,4 +1,4 @@
-"""The controls and plots beside the robot."""
+"""Controls and plots beside the robot."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from evolution.viewer.fields import Field, fields_of
 from evolution.viewer.session import Session
 
 _HINTS = {p.name: f"{p.description} ({p.symbol} in the paper); restarts the robot" for p in PARAMETERS}
-_HINTS["friction"] = "of feet and elements on the ground; restarts the robot"
-_TIME_HINT = "if off comes before on, the power stays on past the end of the period"
+_HINTS["friction"] = "friction of feet and elements on the ground; restarts the robot"
+_TIME_HINT = "if off is earlier than on, the power stays on beyond the end of the period"
 
-#: Returns the changed robot.
+#: Function that returns a changed copy of a robot.
 Edit = Callable[[Robot], Robot]
 
 
@@ -30,19 +30,19 @@ class Panel:
     """Controls and plots of one page.
 
     Args:
-        gui: controls of the page.
-        robot: the robot to begin with.
+        gui: GUI of the page.
+        robot: the initial robot.
         on_button: called with the label of a button: "Play", "Pause", "Reset", "Save", "Restore", or
             "Follow" for the checkbox.
-        on_edit: called with the change that a slider makes.
+        on_edit: called with the edit that a slider makes.
 
     Attributes:
         status: text about the robot.
         speed: simulated seconds per second.
         follow: whether the robot stays in view.
-        temperature: plot in °C, one line for each of the springs or pairs that the gait times.
-        fraction: plot of the austenite fraction, likewise.
-        distance: plot in mm.
+        temperature: plot of temperatures in °C, with one line per spring or pair that the gait controls.
+        fraction: plot of the austenite fractions of the same springs or pairs.
+        distance: plot of the distance in mm.
     """
 
     def __init__(
@@ -70,12 +70,12 @@ class Panel:
         self._add_plots(robot.timed, robot.physics.spring)
 
     def set_sliders(self, robot: Robot) -> None:
-        """Set the sliders to the numbers of a robot."""
+        """Set the sliders to the values of a robot."""
         for field, slider in self._sliders:
-            slider.value = field.read(robot)  # type: ignore[misc]  # it can be set
+            slider.value = field.read(robot)  # type: ignore[misc]  # viser lets it be set
 
     def update(self, session: Session, *, playing: bool) -> None:
-        """Update text and plots from the simulation, which is running if `playing` is true."""
+        """Update text and plots. `playing` tells whether the simulation is running."""
         progress = session.progress
         self.status.content = (
             f"**{_state(session, playing=playing)}** at {progress.time_s[0]:.1f} s\n\n"
@@ -141,7 +141,7 @@ def _line(name: str, colour: str) -> uplot.Series:
 
 
 def _legend(colours: dict[str, str], spring: SmaSpring) -> str:
-    """HTML that explains the lines of the plots and the colours of the springs in the picture."""
+    """Return HTML that explains the plot lines and the spring colours."""
     gaps = " ".join(f'<b style="color: {colour}">{gap}</b>' for gap, colour in colours.items())
     points_c = np.array([spring.ambient_c, spring.austenite_start_c, spring.cut_off_c])
     gradient = ", ".join(to_hex(rgb) for rgb in spring_rgb(spring, points_c))

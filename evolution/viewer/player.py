@@ -1,4 +1,4 @@
-"""Runs the robot of one page in a thread of its own."""
+"""Thread that runs the robot of one page."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from evolution.viewer.scene import RobotScene
 from evolution.viewer.session import Session
 
 _FRAME_S = 1 / 30
-_PANEL_S = 0.2  # between two updates of text and plots
-_LONGEST_FRAME_S = 0.25  # after a longer interruption the robot does not catch up
+_PANEL_S = 0.2  # time between two updates of text and plots
+_LONGEST_FRAME_S = 0.25  # after a longer interruption the robot does not catch up with real time
 
 
 class Player:
-    """One page: its robot, scene and panel, and the only thread that changes them.
+    """Robot, scene and panel of one page. A single thread changes them.
 
-    Buttons and sliders put functions into a queue, which the thread calls between two frames.
+    Buttons and sliders put functions into a queue. The thread calls them between two frames.
 
     Args:
         page: a client, or a server for all its clients.
-        robot: the robot to begin with.
+        robot: the initial robot.
 
     Attributes:
         session: the simulation.
@@ -38,7 +38,7 @@ class Player:
         self.session = Session(robot)
         self._page, self._original = page, robot
         self._playing = False
-        self._shown_s = 0.0  # simulated time of the pose in the picture
+        self._shown_s = 0.0  # simulated time of the displayed pose
         self._panel_updated_s = 0.0
         self._queue: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._closing = threading.Event()
@@ -83,7 +83,7 @@ class Player:
             self._playing = False
 
     def _show(self, *, panel: bool) -> None:
-        """Draw the robot, and update the panel too if `panel` is true."""
+        """Draw the robot. Update the panel too if `panel` is true."""
         with self._page.atomic():
             qpos, temperature_c = self.session.pose(self._shown_s)
             follow = self.panel.follow.value

@@ -1,4 +1,4 @@
-"""Draws the robot in the page: the geometry of its model, with springs coloured by temperature."""
+"""3D view of the robot: the geometry of its model, with springs coloured by temperature."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from caterpillar_env.morphology import Body
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Robot
 
-_GROUND_M = 4.0  # side of the ground; no robot crawls 2 m in 30 s
+_GROUND_M = 4.0  # side length of the ground; no robot crawls 2 m in 30 s
 
 
 class RobotScene:
     """The ground and one robot.
 
     Args:
-        scene: scene of the page.
+        scene: viser scene of the page.
     """
 
     def __init__(self, scene: SceneApi) -> None:
@@ -35,13 +35,13 @@ class RobotScene:
         )  # fmt: skip
 
     def draw(self, robot: Robot, qpos: Array, temperature_c: Array, *, follow: bool) -> None:
-        """Draw a robot; it replaces the one before.
+        """Draw a robot in place of the previous one.
 
         Args:
-            robot: its body and physics; the gait has no influence.
-            qpos: generalised positions, (nq,); a pose that is not finite is skipped.
-            temperature_c: of the springs, (num_springs,).
-            follow: whether to move the ground instead of the robot, which keeps it in view.
+            robot: robot to draw; its gait is ignored.
+            qpos: generalized positions, (nq,); a pose with non-finite values is skipped.
+            temperature_c: spring temperatures, degC, (num_springs,).
+            follow: whether to keep the robot in view by moving the ground instead of the robot.
         """
         if (robot.morphology, robot.physics) != self._built:
             self._build(robot)
@@ -72,7 +72,7 @@ class RobotScene:
         for geom in range(model.ngeom):
             if model.geom_bodyid[geom]:  # not the ground
                 self._add_geom(geom)
-        self._ends = model.wrap_objid.reshape(-1, 2)  # sites, two to a tendon
+        self._ends = model.wrap_objid.reshape(-1, 2)  # two sites per tendon
         self._springs: LineSegmentsHandle = self._scene.add_line_segments(
             "/world/robot/springs",
             points=np.zeros((model.ntendon, 2, 3)),
@@ -94,5 +94,5 @@ class RobotScene:
             self._scene.add_icosphere(name, scale=tuple(size), **common)
         elif shape == mujoco.mjtGeom.mjGEOM_SPHERE:
             self._scene.add_icosphere(name, radius=size[0], **common)
-        else:  # a leg: body and foot hide the ends of its capsule
+        else:  # leg: body and foot hide the ends of its capsule
             self._scene.add_cylinder(name, radius=size[0], height=2 * size[1], **common)

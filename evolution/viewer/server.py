@@ -1,4 +1,4 @@
-"""Serves the page on 127.0.0.1; every browser tab has a robot of its own."""
+"""Web server of the viewer on 127.0.0.1. Every browser tab has its own robot."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class _LocalServer(viser.ViserServer):
 
 
 class Viewer:
-    """The server, a context manager. It runs in threads of its own until it is closed.
+    """The web server, used as a context manager. It runs in background threads until it is closed.
 
     Args:
-        robot: the robot that every tab begins with.
-        port: port of 127.0.0.1; 0 means any free one.
+        robot: initial robot of every tab.
+        port: port of 127.0.0.1; 0 selects a free port.
 
     Raises:
         CaterpillarError: the port is not available, or the robot's gait cannot be simulated.
@@ -40,8 +40,8 @@ class Viewer:
 
     def __init__(self, robot: Robot, port: int) -> None:
         self._robot = robot
-        self._players: dict[int, Player] = {}  # by client; viser's threads add and remove them
-        # A tab was closed before it had received all messages.
+        self._players: dict[int, Player] = {}  # by client id; viser's threads add and remove players
+        # viser warns if a tab is closed before it has received all messages.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         Session(robot)  # raises if the robot cannot be simulated
         _check_port(port)
@@ -71,7 +71,7 @@ class Viewer:
     def _connect(self, client: viser.ClientHandle) -> None:
         self._players[client.client_id] = Player(client, self._robot)
         if client.client_id not in self._server.get_clients():
-            self._disconnect(client)  # the tab was closed before its robot was ready
+            self._disconnect(client)  # the tab was closed before its player was ready
 
     def _disconnect(self, client: viser.ClientHandle) -> None:
         player = self._players.pop(client.client_id, None)
@@ -80,13 +80,13 @@ class Viewer:
 
 
 def _check_port(port: int) -> None:
-    """Raise an error if the port is not available; viser would take the next one."""
+    """Raise an error if the port is not available. viser would use the next one instead."""
     try:
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((HOST, port))
     except (OSError, OverflowError) as error:
         raise CaterpillarError(
-            f"cannot listen on port {port} of {HOST}: {error}; choose another with --port, or 0 for "
-            "any free one"
+            f"cannot listen on port {port} of {HOST}: {error}; choose a different one with --port, or 0 "
+            "for any free port"
         ) from None

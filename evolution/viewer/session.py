@@ -1,4 +1,4 @@
-"""The simulation behind one page: a robot that crawls and can be changed meanwhile."""
+"""Simulation behind one page. The robot can be changed while it crawls."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _INTERVALS = count_steps(EPISODE_S, CONTROL_INTERVAL_S, "the episode")
 
 
 def nominal_robot() -> Robot:
-    """The nominal body with a gait that crawls.
+    """Return a robot with the nominal body and a gait that crawls.
 
-    The gait is a wave from the tail: each pair is heated for 1 s, ventral pairs half a period after
-    dorsal ones.
+    The gait is a wave from the tail. Each pair is heated for 1 s, and ventral pairs are heated half a
+    period after dorsal pairs.
     """
     on_s, off_s = (0.0, 2.5, 3.3, 0.8, 1.7, 4.2), (1.0, 3.5, 4.3, 1.8, 2.7, 0.2)
     return Robot(Morphology(), GaitTimings(5.0, np.array(on_s), np.array(off_s)), Physics())
@@ -31,26 +31,26 @@ def nominal_robot() -> Robot:
 class Measurements(NamedTuple):
     """Measurements at the start and at the end of each of N control intervals."""
 
-    time_s: Array  #: since the start, (N + 1,)
-    distance_m: Array  #: of the centre of mass along the starting heading, (N + 1,)
-    temperature_c: Array  #: of the n mirrored pairs or springs that the gait times, (N + 1, n)
-    fraction: Array  #: austenite fraction of the same, (N + 1, n)
+    time_s: Array  #: simulated time since the start, (N + 1,)
+    distance_m: Array  #: of the centre of mass along the initial heading, (N + 1,)
+    temperature_c: Array  #: of the n springs or mirrored pairs that the gait controls, (N + 1, n)
+    fraction: Array  #: austenite fraction of these springs or pairs, (N + 1, n)
 
 
 class Session:
-    """One robot that crawls for 30 s, or until it fails. It can be changed on the way.
+    """One robot that crawls for 30 s or until it fails. It can be changed while it crawls.
 
-    A robot that is not changed repeats `Robot.simulate` bit for bit.
+    An unchanged robot reproduces `Robot.simulate` bit for bit.
 
     Args:
-        robot: the robot.
+        robot: the initial robot.
 
     Attributes:
-        robot: the present robot.
+        robot: the current robot.
 
     Raises:
         TimingError: the gait period is not a multiple of the control interval, or the number of times
-            is neither that of the springs nor that of the mirrored pairs.
+            matches neither the springs nor the mirrored pairs.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -59,7 +59,7 @@ class Session:
         self.reset()
 
     def reset(self) -> None:
-        """Put the robot at the start."""
+        """Return the robot to its initial state."""
         self._crawl = Crawl([self.robot.morphology], self.robot.physics, threads=1)
         self._trace: Trace | None = None  # of the last control interval
         self._gait_changed = False
@@ -67,13 +67,13 @@ class Session:
         self._measure()
 
     def change(self, robot: Robot) -> bool:
-        """Replace the robot. A new body or physics restarts it; a new gait alone does not.
+        """Replace the robot. A new body or new physics restarts the simulation; a new gait does not.
 
         Returns:
-            Whether the robot was restarted.
+            Whether the simulation was restarted.
 
         Raises:
-            TimingError: see the class; the session keeps its robot.
+            TimingError: see `Session`. The session keeps its robot.
         """
         self._power = _power(robot)
         old, self.robot = self.robot, robot
@@ -95,10 +95,10 @@ class Session:
         self._measure()
 
     def pose(self, time_s: float) -> tuple[Array, Array]:
-        """Generalised positions (nq,) and the springs' temperatures in °C (num_springs,).
+        """Return generalized positions (nq,) and spring temperatures in degC (num_springs,).
 
         Args:
-            time_s: a time in the last control interval; other times are clipped to it.
+            time_s: time in the last control interval; other times are clipped to this interval.
         """
         if self._trace is None:
             simulation = self._crawl.simulation
@@ -108,12 +108,12 @@ class Session:
         return self._trace.qpos[0, step], self._trace.temperature_c[0, step]
 
     def measurements(self) -> Measurements:
-        """All measurements since the start."""
+        """Return all measurements since the start."""
         return Measurements(*(np.array(column) for column in zip(*self._measured, strict=True)))
 
     @property
     def progress(self) -> Progress:
-        """The robot's progress since the start, as arrays of shape (1,)."""
+        """Progress of the robot since the start, as arrays of shape (1,)."""
         return self._crawl.progress()
 
     @property
@@ -123,16 +123,16 @@ class Session:
 
     @property
     def failure(self) -> Failure:
-        """Why the robot was stopped; `Failure.NONE` if it was not."""
+        """Failure that stopped the robot, or `Failure.NONE`."""
         return Failure(int(self.progress.failure[0]))
 
     @property
     def finished(self) -> bool:
-        """Whether the robot has failed or the 30 s are over."""
+        """Whether the robot has failed or has crawled for 30 s."""
         return self.failure is not Failure.NONE or self._intervals == _INTERVALS
 
     def result(self) -> Robot:
-        """The robot, with its fitness if it is finished and was not changed on the way."""
+        """Return the robot. It has a fitness if it has finished and its gait was not changed."""
         if not self.finished or self._gait_changed:
             return self.robot
         return replace(self.robot, fitness_m=float(Outcomes.of(self.progress).fitness()[0]))
@@ -143,7 +143,7 @@ class Session:
 
     def _measure(self) -> None:
         state, progress = self._crawl.simulation.state(), self.progress
-        # The springs of a pair have one temperature, so the left one stands for both.
+        # Both springs of a pair have the same temperature, so measure the left one.
         stride = self.robot.physics.num_springs // len(self.robot.timed)
         temperature_c, fraction = state.temperature_c[0, ::stride], state.fraction[0, ::stride]
         self._measured.append(
@@ -152,7 +152,7 @@ class Session:
 
 
 def _power(robot: Robot) -> Array:
-    """Share of the drive power over one gait period, (steps, num_springs)."""
+    """Return the share of the drive power over one gait period, (steps, num_springs)."""
     timings = robot.timings
     count_steps(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
     return timings.of_springs(robot.physics.num_springs).power(SMA_STEP_S)

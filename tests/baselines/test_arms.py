@@ -127,7 +127,7 @@ def test_other_gait_period_is_rejected():
     ("arm", "message"),
     [
         ({"kind": "magic"}, "arms.x: kind = 'magic' must be one of evolution, rl"),
-        ({"kind": "rl", "luck": 1}, "arms.x: a training has no luck"),
+        ({"kind": "rl", "luck": 1}, "arms.x: a training run has no luck"),
         ({"kind": "rl", "seed": 1}, "seed"),
         ({"kind": "rl", "algorithm": "sac"}, "arms.x: sac does not support mode 'switch'"),
     ],

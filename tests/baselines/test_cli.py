@@ -120,7 +120,7 @@ def test_eval_rejects_equal_episodes(folder, capsys):
 
 def test_help_lists_the_commands(capsys):
     assert cli.main(["rl", "--help"]) == 0
-    assert "compare  Compare trainings" in capsys.readouterr().out
+    assert "compare  Compare training runs" in capsys.readouterr().out
 
 
 def test_missing_extra_is_reported(monkeypatch, capsys):

@@ -25,12 +25,12 @@ from caterpillar_env.morphology import Morphology
         ({"open_loop": True}, "requires mode timing"),
         (
             {"design": "uniform", "morphology": Morphology(leg_separation_m=0.02)},
-            "evolves the body: do not give a body",
+            "evolves the body",
         ),
         ({"randomize": {"ambient_c": (20, 90)}}, "must end below 56 degC"),
         ({"design": "uniform", "algorithm": "a2c"}, "requires algorithm ppo without open_loop"),
         ({"randomize": {"luck": (0, 1)}}, "randomization has no luck; its fields are friction"),
-        ({"randomize": {"mass": (2, 1)}}, "randomization of mass must be two numbers, the lesser"),
+        ({"randomize": {"mass": (2, 1)}}, "randomization of mass must be two numbers"),
     ],
     ids=str,
 )
@@ -51,7 +51,7 @@ def test_configuration_round_trips_through_json():
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        ({"luck": 1}, "a training has no luck"),
+        ({"luck": 1}, "has no luck"),
         ({"randomize": 3}, "randomization must be a mapping of its fields; got 3"),
         ({"physics": {"frictoin": 1}}, "physics has no frictoin; its fields are"),
     ],

@@ -44,7 +44,7 @@ def test_the_page_is_served_on_loopback_until_ctrl_c(tmp_path):
         (["other.json"], "other.json: no robot: expected JSON with"),
         (["slow.json"], "the gait period of 0.25 s must be a whole multiple of 0.1 s"),
         (["--port", "70000"], "port 70000 of 127.0.0.1: bind(): port must be 0-65535"),
-        (["--port", "-1"], "choose another with --port, or 0 for any free one"),
+        (["--port", "-1"], "or 0 for any free port"),
         (["--port", "web"], "--port"),
         (["--bogus"], "--bogus"),
     ],
