@@ -1,4 +1,4 @@
-"""The configuration of a run, and the optimizer and the distributions that it describes."""
+"""The configuration of a run."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from evolution.run.objective import ObjectiveName
 OptimizerName = Literal["ga", "cma-es", "random"]
 Prior = Literal["preprocessed", "uniform", "init-only", "mutation-only", "mirrored"]
 
-#: Descriptions of the optimizers and the priors.
+#: Descriptions of the optimizers and of the priors.
 OPTIMIZERS: dict[OptimizerName, str] = {
     "ga": "the genetic algorithm", "cma-es": "CMA-ES", "random": "random search",
 }  # fmt: skip
 PRIORS: dict[Prior, str] = {
     "preprocessed": "the preprocessor's distributions",
     "uniform": "uniform distributions",
-    "init-only": "the preprocessor's distributions for initialisation, uniform ones for mutation",
-    "mutation-only": "uniform distributions for initialisation, the preprocessor's for mutation",
+    "init-only": "the preprocessor's distributions for initialization, uniform ones for mutation",
+    "mutation-only": "uniform distributions for initialization, the preprocessor's for mutation",
     "mirrored": "the preprocessor's distributions mirrored, so that every peak is at the wrong end",
 }
 
@@ -47,19 +47,19 @@ class RunConfig:
         ConfigError: a value is out of range.
     """
 
-    seed: int = 0  #: of the optimizer; the springs have --mismatch-seed
+    seed: int = 0  #: seed of the optimizer; --mismatch-seed is that of the springs
     generations: int = 50  #: number of generations
-    budget_s: float | None = None  #: simulated seconds after which no generation starts
+    budget_s: float | None = None  #: simulated seconds after which no new generation starts
     target_m: float | None = None  #: distance in m; stop once a robot reaches it without failing
     optimizer: OptimizerName = "ga"  #: ga: the paper's genetic algorithm; random: random search
     genome: GenomeKind = "shared"  #: full: timings per spring; per-segment: a body per segment
     prior: Prior = "preprocessed"  #: distributions of genes; init-only and mutation-only need the GA
-    floor_ratio: float = 3.0  #: ratio of the greatest to the least density of a preprocessed gene
+    floor_ratio: float = 3.0  #: ratio of the maximum to the minimum density of a preprocessed gene
     clipping: Clipping = "truncated"  #: how a Gaussian is limited to the bounds of its gene
-    objective: ObjectiveName = "distance"  #: what is maximised: m, or m per J of electrical energy
+    objective: ObjectiveName = "distance"  #: quantity to maximize: m, or m per J of electrical energy
     failed_fitness: float = 0.0  #: fitness of a robot that fails, in the unit of the objective
-    gait_period_s: float = GAIT_PERIOD_S  #: a multiple of 0.1 s
-    sampling: Sampling = "independent"  #: of random search: independent or evenly spread (sobol)
+    gait_period_s: float = GAIT_PERIOD_S  #: period of the gait, a multiple of 0.1 s
+    sampling: Sampling = "independent"  #: draws of random search: independent, or evenly spread (sobol)
     ga: GaConfig = field(default_factory=GaConfig)
     cma: CmaConfig = field(default_factory=CmaConfig)
     physics: Physics = field(default_factory=Physics)
@@ -101,11 +101,11 @@ class RunConfig:
         return from_mapping(cls, made, "a run's configuration", ConfigError)
 
     def to_dict(self) -> dict[str, Any]:
-        """The configuration as plain data for JSON."""
+        """Return the configuration as plain data for JSON."""
         return asdict(self)
 
     def distributions(self, use: Literal["init", "mutation"] = "init") -> list[Distribution]:
-        """The distribution of each gene, for initialisation or for mutation."""
+        """Return the distribution of each gene, for initialization or for mutation."""
         rows = paper_priors(
             self.encoding, self.floor_ratio, self.clipping, mirrored=self.prior == "mirrored"
         )
@@ -114,11 +114,11 @@ class RunConfig:
 
     @property
     def encoding(self) -> Encoding:
-        """The meaning of the genomes."""
+        """The mapping from genomes to robots."""
         return Encoding(self.physics, self.gait_period_s, self.genome)
 
     def make_optimizer(self) -> Optimizer:
-        """The optimizer in its initial state."""
+        """Return the optimizer in its initial state."""
         rng = np.random.default_rng(self.seed)
         first = self.distributions("init")
         if self.optimizer == "ga":
@@ -128,7 +128,7 @@ class RunConfig:
         return RandomSearch(first, self.ga.population, self.sampling, rng)
 
     def evaluations(self) -> int:
-        """Number of genomes that the run evaluates; CMA-ES with restarts evaluates more."""
+        """Return the number of genomes that the run evaluates. CMA-ES with restarts evaluates more."""
         ga = self.ga
         if self.optimizer == "ga":
             return ga.population + (self.generations - 1) * (ga.population - ga.elites)
@@ -138,12 +138,12 @@ class RunConfig:
         return (self.cma.cma_population or default) * self.generations
 
     def ending(self, generations: int, simulated_s: float, farthest_m: float) -> str | None:
-        """Why the run is over, in words; None if another generation follows.
+        """Return why the run is over, or None if another generation follows.
 
         Args:
             generations: number of completed generations.
             simulated_s: simulated time of all evaluations, s.
-            farthest_m: greatest distance of a robot that did not fail, m.
+            farthest_m: largest distance of a robot that did not fail, m.
         """
         missed = ""
         if self.target_m is not None:
@@ -159,7 +159,7 @@ class RunConfig:
         return None
 
     def share_done(self, evaluations: int, simulated_s: float) -> float:
-        """Share of the run that is complete, in [0, 1]: of its budget, or else of its genomes."""
+        """Return the completed share, in [0, 1], of the budget or, without one, of the genomes."""
         if self.budget_s is not None:
             return min(simulated_s / self.budget_s, 1.0)
         return min(evaluations / self.evaluations(), 1.0)

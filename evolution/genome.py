@@ -1,7 +1,7 @@
-"""The genome: morphology genes, then the times at which the power is switched on and off.
+"""The genome: morphology genes, then the times at which the springs are switched on and off.
 
-A genome is a point in [0, 1]^n, where 0 and 1 are the bounds of a gene in SI units. Its kind is one of
-(n for four segments):
+A genome is a point in [0, 1]^n, where 0 and 1 are the bounds of a gene in SI units. The kinds of genomes
+(n is for four segments):
 
 - `shared`, n = 20: 8 morphology genes for all segments, times of the left-right pairs of springs
   (Saunders 2009, section III).
@@ -43,22 +43,22 @@ class Gene(NamedTuple):
     unit: str
     lower: float
     upper: float
-    parameter: str  #: the name without the segment, as the design parameters use it
+    parameter: str  #: the name without the segment, used by design parameters
 
     @property
     def title(self) -> str:
-        """The name in words, without the unit."""
+        """The name with spaces and without the unit."""
         return self.name.removesuffix(f"_{self.unit}").replace("_", " ")
 
     @property
     def shown(self) -> tuple[float, str]:
-        """A factor to the unit in which values are displayed, and that unit: mm, g, °."""
+        """The factor that converts values to the unit for display, and this unit: mm, g or °."""
         return _DISPLAY_UNITS.get(self.unit, (1.0, self.unit))
 
 
 @dataclass(frozen=True)
 class Encoding:
-    """Maps genomes to robots: a body and a gait each, in the same physics.
+    """Maps genomes to robots, each a body with a gait. All have the same physics.
 
     Raises:
         CaterpillarError: the kind is unknown, or the period is not a multiple of the control interval.
@@ -74,7 +74,7 @@ class Encoding:
 
     @cached_property
     def genes(self) -> tuple[Gene, ...]:
-        """The genes in order: morphology, then times; both from head to tail."""
+        """The genes in order: morphology, then times, each from head to tail."""
         count = self.physics.num_segments
         prefixes = [f"segment{i + 1}_" for i in range(count)] if self.kind == "per-segment" else [""]
         springs = spring_names(count) if self.kind == "full" else pair_names(count)
@@ -88,7 +88,7 @@ class Encoding:
         return (*body, *times)
 
     def check(self, genomes: Array) -> Array:
-        """Validate genomes (P, n), or a single one (n,); returns an array of shape (P, n).
+        """Validate genomes (P, n), or a single one (n,). Returns an array of shape (P, n).
 
         Raises:
             GenomeError: wrong shape, or a value that is not in [0, 1].
@@ -107,7 +107,7 @@ class Encoding:
         return array
 
     def decode(self, genomes: Array) -> tuple[list[Body], GaitTimings]:
-        """Bodies and gaits of genomes (P, n) or (n,).
+        """Return the bodies and gaits of genomes (P, n) or (n,).
 
         Returns:
             P bodies, and timings of shape (P, pairs), or (P, springs) if the kind is `full`.
@@ -118,7 +118,7 @@ class Encoding:
         array = self.check(genomes)
         size = len(PARAMETERS)
         count = self.physics.num_segments if self.kind == "per-segment" else 1
-        # Converted to an action first, so that the environment reproduces the gait bit for bit.
+        # Convert to an action first, so that the environment reproduces the gait bit for bit.
         action = (2.0 * array[:, size * count :] - 1.0).astype(np.float32)
         timings = GaitTimings.from_action(action, self.gait_period_s)
         segments = array[:, : size * count].reshape(len(array), count, size)
@@ -126,14 +126,14 @@ class Encoding:
         return [body if self.kind == "per-segment" else body[0] for body in bodies], timings
 
     def robot(self, genome: Array, **record: Any) -> Robot:
-        """The robot of a genome (n,); keywords are its recorded results, see `Robot`."""
+        """Return the robot of a genome (n,). The keywords are its recorded results, see `Robot`."""
         (body,), timings = self.decode(np.asarray(genome)[None])
         gait = GaitTimings(timings.period_s, timings.on_s[0], timings.off_s[0])
         return Robot(body, gait, self.physics, **record)
 
 
 def gene_values(bodies: Sequence[Body], timings: GaitTimings) -> Array:
-    """The values of all genes of P bodies and their gaits in SI units, (P, n)."""
+    """Return the values of all genes of P bodies and their gaits in SI units, (P, n)."""
     times = np.stack([timings.on_s, timings.off_s], axis=-1).reshape(len(bodies), -1)
     segments = [body if isinstance(body, tuple) else (body,) for body in bodies]
     values = [np.concatenate([m.to_array() for m in body]) for body in segments]

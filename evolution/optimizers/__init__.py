@@ -1,1 +1,1 @@
-"""Optimizers behind one ask/tell; each file stands alone and knows nothing of the simulator."""
+"""Optimizers with an ask/tell interface. They do not depend on the simulator."""

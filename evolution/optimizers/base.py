@@ -1,4 +1,4 @@
-"""The interface of optimizers: they propose genomes in [0, 1]^n and receive their fitness."""
+"""The ask/tell interface: optimizers propose genomes in [0, 1]^n and receive their fitness."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from caterpillar_env.errors import CaterpillarError
 
 
 class OptimizerError(CaterpillarError):
-    """An optimizer was configured or called wrongly."""
+    """An optimizer has an invalid setting, or was called with invalid arguments."""
 
 
 class Optimizer(Protocol):
@@ -22,32 +22,32 @@ class Optimizer(Protocol):
     """
 
     def ask(self) -> Array:
-        """Genomes to evaluate next, in [0, 1], shape (P, n); P may change between calls."""
+        """Return the genomes to evaluate next, in [0, 1], shape (P, n). P may change between calls."""
         ...
 
     def tell(self, genomes: Array, fitness: Array) -> None:
-        """Receive the fitness, (P,), of the genomes last asked for; greater is better."""
+        """Receive the fitness, (P,), of the genomes that `ask` returned. Higher is better."""
         ...
 
 
 class GenerationalOptimizer:
-    """Base class: keeps the generation that awaits its fitness; subclasses propose and learn."""
+    """Base class that checks the order of calls. Subclasses implement `_propose` and `_learn`."""
 
     def __init__(self) -> None:
         self._asked: Array | None = None
 
     def ask(self) -> Array:
-        """Genomes to evaluate, (P, n); the same ones until their fitness has been told."""
+        """Return the genomes to evaluate, (P, n). They stay the same until `tell` is called."""
         if self._asked is None:
             self._asked = self._propose()
         return self._asked.copy()
 
     def tell(self, genomes: Array, fitness: Array) -> None:
-        """Receive the fitness, (P,), of the genomes last asked for; greater is better.
+        """Receive the fitness, (P,), of the genomes that `ask` returned. Higher is better.
 
         Raises:
-            OptimizerError: the genomes are not those asked for, or the fitness has another shape or a
-                value that is not finite.
+            OptimizerError: the genomes differ from those that `ask` returned, or the fitness has the
+                wrong shape or non-finite values.
         """
         if self._asked is None or not np.array_equal(genomes, self._asked):
             raise OptimizerError("tell needs exactly the genomes that ask returned, in the same order")
@@ -59,7 +59,7 @@ class GenerationalOptimizer:
         self._asked = None
 
     def _propose(self) -> Array:
-        """The genomes of the next generation, (P, n)."""
+        """Return the genomes of the next generation, (P, n)."""
         raise NotImplementedError
 
     def _learn(self, genomes: Array, fitness: Array) -> None:

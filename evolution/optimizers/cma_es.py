@@ -1,4 +1,4 @@
-"""CMA-ES (Hansen 2016) with pycma on [0, 1]^n, with growing restarts (Auger and Hansen 2005)."""
+"""CMA-ES (Hansen 2016) on [0, 1]^n, from pycma, with restarts (Auger and Hansen 2005)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class CmaConfig:
     """
 
     cma_population: int | None = None  #: genomes per generation; None: pycma's default, 4 + 3 ln n
-    cma_sigma: float = 0.3  #: initial step size, as a share of the range; narrower priors use their own
+    cma_sigma: float = 0.3  #: initial step size, as a share of the range; at most the width of the prior
     cma_restarts: bool = True  #: whether to restart with twice the population after convergence
 
     def __post_init__(self) -> None:
@@ -38,15 +38,15 @@ class CmaConfig:
 
 
 class CmaEs(GenerationalOptimizer):
-    """CMA-ES, one generation at a time.
+    """CMA-ES with an ask/tell interface.
 
-    The search starts at the peak of each gene's distribution, with its width as the step size; genes
-    with a uniform distribution start at 0.5. A restart begins at a random draw from the distributions.
-    pycma transforms the genes so that every genome lies in the box.
+    The search starts at the peak of each gene's distribution, with its width as the step size. Genes
+    with a uniform distribution start at 0.5. Restarts begin at a random draw from the distributions.
+    pycma transforms the genes so that every genome lies within the bounds.
 
     Args:
-        distributions: of each gene.
-        config: settings.
+        distributions: distribution of each gene.
+        config: settings of CMA-ES.
         rng: the only source of randomness.
     """
 
@@ -68,7 +68,7 @@ class CmaEs(GenerationalOptimizer):
         return centre
 
     def _propose(self) -> Array:
-        # A generation in which every robot fails has not converged.
+        # Equal fitness, for example if every robot fails, does not mean convergence.
         if self._config.cma_restarts and not self._is_flat and self._strategy.stop():
             start = np.array([d.sample(self._rng, 1)[0] for d in self._distributions])
             self._strategy = self._make_strategy(start, 2 * self._strategy.popsize)
@@ -76,11 +76,11 @@ class CmaEs(GenerationalOptimizer):
         return genomes
 
     def _learn(self, genomes: Array, fitness: Array) -> None:
-        self._strategy.tell(list(genomes), (-fitness).tolist())  # pycma minimises
+        self._strategy.tell(list(genomes), (-fitness).tolist())  # pycma minimizes
         self._is_flat = bool(np.ptp(fitness) == 0)
 
     def _make_strategy(self, start: Array, population: int | None) -> cma.CMAEvolutionStrategy:
-        import cma  # takes a second, because it imports Matplotlib
+        import cma  # slow to import, because it imports Matplotlib
 
         sigma = self._config.cma_sigma
         widths = [
@@ -90,12 +90,12 @@ class CmaEs(GenerationalOptimizer):
             "bounds": [0.0, 1.0],
             "CMA_stds": [width / sigma for width in widths],
             "randn": lambda *shape: self._rng.standard_normal(shape),
-            "seed": np.nan,  # leaves NumPy's global generator alone
+            "seed": np.nan,  # keeps pycma from seeding NumPy's global generator
             "verbose": -9,
             "verb_log": 0,
             "tolflatfitness": 20,
         }
         if population is not None:
             options["popsize"] = population
-        # The transformation has no inverse at the very edge of the box.
+        # The transformation has no inverse at the bounds.
         return cma.CMAEvolutionStrategy(np.clip(start, 0.05, 0.95), sigma, options)

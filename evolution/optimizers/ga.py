@@ -21,17 +21,17 @@ Crossover = Literal["uniform", "one-point", "two-point"]
 class GaConfig:
     """Settings of the genetic algorithm.
 
-    The paper gives the population and the hall of fame, which is neither crossed nor mutated. The other
-    defaults are our interpretation.
+    The paper gives the sizes of the population and of the hall of fame, whose genomes are neither
+    crossed nor mutated. The other defaults are our interpretation.
 
     Raises:
         OptimizerError: a value is out of range.
     """
 
-    population: int = 200  #: genomes per generation, of random search too
+    population: int = 200  #: genomes per generation, for random search too
     hall_of_fame: int = 10  #: best genomes kept without evaluating them again; see `elites`
     crossover: Crossover = "uniform"  #: how the genes of two parents are combined
-    crossover_rate: float = 0.9  #: fraction of children with two parents; the others copy one
+    crossover_rate: float = 0.9  #: fraction of children with two parents; the others copy one parent
     mutation_rate: float = 0.05  #: probability that a gene is redrawn; 0.05 is one gene in twenty
     elites_breed: bool = False  #: whether the hall of fame takes part in parent selection too
 
@@ -47,7 +47,7 @@ class GaConfig:
 
     @property
     def elites(self) -> int:
-        """Effective size of the hall of fame: half of the population if it would not fit."""
+        """Effective size of the hall of fame: half of the population if `hall_of_fame` is too large."""
         return self.hall_of_fame if self.hall_of_fame < self.population else self.population // 2
 
 
@@ -57,20 +57,20 @@ def roulette(fitness: Array, draws: int, rng: np.random.Generator) -> NDArray[np
     If no fitness is positive, all indices are equally likely.
 
     Args:
-        fitness: finite and not negative, (n,).
-        draws: how many indices to draw.
+        fitness: finite values that are not negative, (n,).
+        draws: number of indices to draw.
         rng: source of randomness.
 
     Raises:
-        OptimizerError: a fitness is negative or not finite.
+        OptimizerError: a fitness value is negative or not finite.
     """
     if not (np.isfinite(fitness).all() and (fitness >= 0).all()):
         raise OptimizerError("roulette selection needs fitness that is finite and not negative")
     peak = fitness.max(initial=0.0)
-    weight = fitness / peak if peak > 0 else np.ones_like(fitness)  # no overflow, no underflow
+    weight = fitness / peak if peak > 0 else np.ones_like(fitness)  # avoids overflow and underflow
     wheel = np.cumsum(weight)
     index: NDArray[np.intp] = np.searchsorted(wheel, rng.random(draws) * wheel[-1], side="right")
-    # Rounding may produce an index past the last one that has any weight.
+    # Rounding may produce an index past the last one with a positive weight.
     last = int(np.flatnonzero(weight)[-1])
     return np.minimum(index, last, dtype=np.intp)
 
@@ -78,13 +78,13 @@ def roulette(fitness: Array, draws: int, rng: np.random.Generator) -> NDArray[np
 class GeneticAlgorithm(GenerationalOptimizer):
     """Roulette selection, crossover, redrawing mutation and a hall of fame.
 
-    The first generation is a whole population; later ones leave out the hall of fame, whose fitness is
-    known.
+    The first generation is a full population. Later generations exclude the hall of fame, because its
+    fitness is known.
 
     Args:
         initial: distributions of the genes of the first population.
         mutation: distributions from which mutated genes are redrawn.
-        config: settings.
+        config: settings of the genetic algorithm.
         rng: the only source of randomness.
     """
 
@@ -111,14 +111,14 @@ class GeneticAlgorithm(GenerationalOptimizer):
         elites = self._config.elites
         population = np.concatenate([self._genomes[:elites], genomes])
         scores = np.concatenate([self._fitness[:elites], fitness])
-        order = np.argsort(-scores, kind="stable")  # among equals, the older genome stays in front
+        order = np.argsort(-scores, kind="stable")  # ties go to the older genome
         self._genomes, self._fitness = population[order], scores[order]
 
     def _draw(self, distributions: Sequence[Distribution], count: int) -> Array:
         return np.stack([d.sample(self._rng, count) for d in distributions], axis=1)
 
     def _breed(self, count: int) -> Array:
-        """Children (count, n) of the population; of its elites only if they breed."""
+        """Return children, (count, n). The elites are parents only if `elites_breed` is set."""
         first = 0 if self._config.elites_breed else self._config.elites
         pool, fitness = self._genomes[first:], self._fitness[first:]
         weight = fitness - min(fitness.min(), 0.0)  # an objective may be negative
@@ -129,7 +129,7 @@ class GeneticAlgorithm(GenerationalOptimizer):
         return np.where(mutated, self._draw(self._mutation, count), children)
 
     def _crossover_mask(self, count: int) -> NDArray[np.bool_]:
-        """Which genes come from the second parent, (count, n)."""
+        """Return a mask, (count, n), of the genes that come from the second parent."""
         num_genes = len(self._initial)
         crossed = self._rng.random(count) < self._config.crossover_rate
         if self._config.crossover == "uniform":

@@ -16,16 +16,16 @@ Sampling = Literal["independent", "sobol"]
 
 
 class RandomSearch(GenerationalOptimizer):
-    """Draws genomes from the distributions of the genes; fitness has no influence.
+    """Draws genomes from the distributions of the genes; the fitness is ignored.
 
     Args:
-        distributions: of each gene.
-        population: genomes per generation; it does not change which genomes are drawn.
-        sampling: "independent", or "sobol" for a scrambled sequence (Owen 1998).
+        distributions: distribution of each gene.
+        population: number of genomes per generation. The sequence of genomes does not depend on it.
+        sampling: "independent", or "sobol" for a scrambled Sobol' sequence (Owen 1998).
         rng: the only source of randomness.
 
     Raises:
-        OptimizerError: a value is out of range.
+        OptimizerError: `population` or `sampling` is invalid.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class RandomSearch(GenerationalOptimizer):
         self._rng = rng
         self._sobol = None
         if sampling == "sobol":
-            from scipy.stats import qmc  # takes half a second
+            from scipy.stats import qmc  # slow to import
 
             self._sobol = qmc.Sobol(len(self._distributions), rng=rng)
 
@@ -52,8 +52,8 @@ class RandomSearch(GenerationalOptimizer):
         if self._sobol is None:
             shares = self._rng.random((self._population, len(self._distributions)))
         else:
-            # One at a time: SciPy warns when the number of points is not a power of two, which
-            # matters for integration only.
+            # One point at a time, because SciPy warns about numbers that are not powers of two. Those
+            # matter for integration only.
             shares = np.concatenate([self._sobol.random(1) for _ in range(self._population)])
         columns = [d.quantile(shares[:, i]) for i, d in enumerate(self._distributions)]
         return np.stack(columns, axis=1)

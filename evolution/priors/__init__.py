@@ -1,1 +1,1 @@
-"""Probability distributions of genes: uniform ones, and those of the paper's preprocessor."""
+"""Prior distributions of genes: uniform, or from the paper's preprocessor."""

@@ -1,4 +1,4 @@
-"""Distributions of one gene over [0, 1], for initialisation and mutation."""
+"""Distributions of one gene over [0, 1], for initialization and mutation."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ Clipping = Literal["truncated", "clamped"]
 
 
 class Distribution:
-    """A distribution over [0, 1]; one draw uses one uniform random number."""
+    """A distribution over [0, 1]. Each draw uses one uniform random number."""
 
     def quantile(self, share: Array) -> Array:
-        """The inverse of the cumulative distribution function, for `share` in [0, 1]."""
+        """Return the quantiles (inverse cumulative distribution function) for `share` in [0, 1]."""
         raise NotImplementedError
 
     def density(self, x: Array) -> Array:
-        """The probability density at x; 0 outside of [0, 1]."""
+        """Return the probability density at x. It is 0 outside [0, 1]."""
         raise NotImplementedError
 
     def sample(self, rng: np.random.Generator, size: int) -> Array:
-        """`size` draws in [0, 1]."""
+        """Draw `size` values in [0, 1]."""
         return self.quantile(rng.random(size))
 
 
@@ -48,9 +48,9 @@ class ClippedGaussian(Distribution):
     """A Gaussian that is clipped to [0, 1] (Saunders 2009, section II).
 
     Args:
-        mu: peak, in [0, 1].
-        sigma: width before clipping.
-        clipping: "truncated" cuts the tails off and renormalises the rest; "clamped" moves values
+        mu: position of the peak, in [0, 1].
+        sigma: standard deviation before clipping.
+        clipping: "truncated" cuts the tails off and renormalizes the rest; "clamped" moves values
             beyond 0 and 1 to the bound.
     """
 
@@ -60,7 +60,7 @@ class ClippedGaussian(Distribution):
 
     @classmethod
     def with_floor(cls, mu: float, ratio: float = 3.0) -> ClippedGaussian:
-        """Peaked at `mu` and truncated, with a lowest density of 1 / `ratio` times the highest.
+        """Return a truncated Gaussian whose minimum density is 1 / `ratio` times its maximum.
 
         Saunders 2009, section II: "no smaller than one third". So sigma = D / sqrt(2 ln 3), where D is
         the distance from mu to the farther bound.
@@ -74,14 +74,14 @@ class ClippedGaussian(Distribution):
         return np.clip(x, 0.0, 1.0)
 
     def density(self, x: Array) -> Array:
-        """See `Distribution.density`; without the probability on the bounds if clamped."""
+        """See `Distribution.density`. Excludes the probability on the bounds if clamped."""
         low, high = self._tails()
         bell = np.exp(-0.5 * ((x - self.mu) / self.sigma) ** 2)
         inside = (x >= 0) & (x <= 1)
         return np.where(inside, bell / ((high - low) * self.sigma * math.sqrt(2 * math.pi)), 0.0)
 
     def _tails(self) -> tuple[float, float]:
-        """The quantiles of the unclipped Gaussian between which draws are made."""
+        """Return the range of quantiles of the unclipped Gaussian to draw from."""
         if self.clipping == "clamped":
             return 0.0, 1.0
         return ndtr(-self.mu / self.sigma), ndtr((1.0 - self.mu) / self.sigma)

@@ -1,8 +1,8 @@
-"""The physics-based preprocessor: statics predicts where good genes lie (Saunders 2009, II and III).
+"""The physics-based preprocessor: statics predicts good values of genes (Saunders 2009, II and III).
 
-An exhaustive search over a coarse grid maximises three key design parameters K_i, each a formula of a
-few genes. The best node gives the peak of each gene's mutation distribution. A gene stays uniform if it
-is in no K_i, or if two K_i disagree on it.
+An exhaustive search over a coarse grid maximizes three key design parameters K_i, each a function of a
+few genes. The best node gives the peak of each gene's mutation distribution. The distribution stays
+uniform if the gene is in no K_i, or if two K_i disagree on it.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from evolution.genome import Encoding, Gene
 from evolution.priors.distributions import ClippedGaussian, Clipping, Distribution, Uniform
 
 GRID_NODES = 10  #: "approximately ten nodes per gene", Saunders 2009, section II
-PITCH_ANGLES = 10  #: likewise, over the range of the joints
+PITCH_ANGLES = 10  #: number of pitch angles over the range of the joints
 
 
 class DesignParameter(NamedTuple):
-    """A key design parameter K_i = f(g_i), to be maximised (Saunders 2009, eq. 1)."""
+    """A key design parameter K_i = f(g_i) to maximize (Saunders 2009, eq. 1)."""
 
     name: str
     source: str  #: equation of the paper
     unit: str
-    gene_names: tuple[str, ...]  #: g_i
-    formula: Callable[..., Array]  #: of these genes, in SI units, as arrays that broadcast
+    gene_names: tuple[str, ...]  #: the genes g_i
+    formula: Callable[..., Array]  #: takes these genes in SI units, as arrays that broadcast
 
 
 def roll_stability(segment_mass_kg: Array, leg_separation_m: Array, segment_radius_m: Array) -> Array:
-    """Smallest lateral force at the centre of mass that tips a segment over, N (Saunders 2009, eqs 2-4).
+    """Return the minimum lateral force at the center of mass that tips a segment over, N (eqs 2-4).
 
-    The centre of mass is 2R above the ground and w/2 from the contact point a, so that
+    The center of mass is 2R above the ground and w/2 from the contact point a, so that
     F_phi 2R = m g w / 2.
     """
     width_ratio = leg_separation_m / (2 * segment_radius_m)  # P_w, eq. 4
@@ -48,9 +48,9 @@ def roll_stability(segment_mass_kg: Array, leg_separation_m: Array, segment_radi
 def yaw_stability(
     segment_mass_kg: Array, leg_separation_m: Array, attachment_z_m: Array, *, friction: float
 ) -> Array:
-    """Smallest lateral force at a spring that turns a segment about one foot, N (eq. 5)."""
+    """Return the minimum lateral force at a spring that turns a segment about one foot, N (eq. 5)."""
     w, z = leg_separation_m, attachment_z_m
-    # The minus in the paper gives the direction of the force; its magnitude is to be large.
+    # The minus sign in the paper gives the direction of the force; the magnitude is maximized.
     return friction * segment_mass_kg * GRAVITY_M_S2 * w / (2 * z + w)
 
 
@@ -58,32 +58,32 @@ def lifting_moment(
     x: Array, y: Array, m: Array, length: Array, *,
     stiffness_n_m: float, rest_length_m: float, radius_m: float, joint_limit_rad: float,
 ) -> Array:  # fmt: skip
-    """Mean moment with which an austenite spring lifts a segment about its contact point b, N m.
+    """Return the mean moment of an austenite spring that lifts a segment about its contact b, N m.
 
-    Saunders 2009, eqs 6-7: M_b = r_b,sp x F_s + r_b,cm x W. The segment extends L/2 ahead of b, with its
-    centre of mass h_b = 2R above the ground, and is pitched up by theta about b. The spring connects
-    the anchor, x outboard and y above the centre, to the mirrored anchor on the neighbour, which stays
-    level: it is L + 2x long at theta = 0, where M_b = k (L + 2x - Delta)(y + h_b) - m g L / 2. The mean
-    is over pitch angles from 0 to the joint limit. All values are in SI units.
+    Saunders 2009, eqs 6-7: M_b = r_b,sp x F_s + r_b,cm x W. The segment extends L/2 ahead of b, its
+    center of mass is h_b = 2R above the ground, and it is pitched up by theta about b. The spring
+    connects the anchor, x outboard and y above the center, to the mirrored anchor on the neighbor, which
+    stays level. The spring is L + 2x long at theta = 0, where M_b = k (L + 2x - Delta)(y + h_b) -
+    m g L / 2. The mean is over pitch angles from 0 to the joint limit. All values are in SI units.
     """
     height = 2 * radius_m
     total = np.zeros(np.broadcast_shapes(x.shape, y.shape, m.shape, length.shape))
     for theta in np.linspace(0.0, joint_limit_rad, PITCH_ANGLES):
         cosine, sine = np.cos(theta), np.sin(theta)
-        # In the pitch plane, with b as the origin: along the body, and upwards.
+        # Coordinates in the pitch plane, with origin b: x along the body, z upwards.
         anchor_x = (length / 2 + x) * cosine - (y + height) * sine
         anchor_z = (length / 2 + x) * sine + (y + height) * cosine
         span_x, span_z = -length / 2 - x - anchor_x, y + height - anchor_z
         span = np.hypot(span_x, span_z)
         pull = stiffness_n_m * np.maximum(span - rest_length_m, 0.0)
         spring = (anchor_x * span_z - anchor_z * span_x) * pull / span
-        centre_x = length / 2 * cosine - height * sine
-        total += spring - m * GRAVITY_M_S2 * centre_x
+        center_x = length / 2 * cosine - height * sine
+        total += spring - m * GRAVITY_M_S2 * center_x
     return total / PITCH_ANGLES
 
 
 def design_parameters(physics: Physics) -> tuple[DesignParameter, ...]:
-    """The paper's three K_i; parameters that are not among their genes have nominal values."""
+    """Return the paper's three K_i. Body parameters other than their genes have nominal values."""
     mass, width, spring, nominal = "segment_mass_kg", "leg_separation_m", physics.spring, Morphology()
     yaw = partial(yaw_stability, friction=physics.friction)
     lift = partial(
@@ -102,15 +102,15 @@ def design_parameters(physics: Physics) -> tuple[DesignParameter, ...]:
 
 @dataclass(frozen=True)
 class GenePrior:
-    """The preprocessor's result for one gene: a row of the paper's Table I."""
+    """The result of the preprocessor for one gene: a row of the paper's Table I."""
 
     gene: Gene
     distribution: Distribution  #: over [0, 1]
-    signs: tuple[tuple[str, int], ...]  #: for each K_i with this gene: 1 prefers high, -1 low values
+    signs: tuple[tuple[str, int], ...]  #: per K_i with this gene: 1 if it prefers high values, else -1
     reason: str
 
     def to_dict(self) -> dict[str, str | float | None]:
-        """Plain JSON; mu and sigma in the gene's unit, None for a uniform gene."""
+        """Return plain data for JSON. mu and sigma are in the gene's unit, or None if it is uniform."""
         gene, d = self.gene, self.distribution
         span = gene.upper - gene.lower
         return {
@@ -127,7 +127,7 @@ class GenePrior:
 
 
 def best_node(k: DesignParameter, bounds: Mapping[str, tuple[float, float]]) -> dict[str, float]:
-    """Maximise K_i by exhaustive search; returns the position of the best node in [0, 1] for each gene.
+    """Maximize K_i by exhaustive search. Returns the best value of each gene, scaled to [0, 1].
 
     Raises:
         CaterpillarError: K_i is not finite everywhere on the grid, or does not depend on a gene.
@@ -153,18 +153,18 @@ def check_floor_ratio(floor_ratio: float) -> None:
 def preprocess(
     parameters: Sequence[DesignParameter], genes: Sequence[Gene], floor_ratio: float = 3.0
 ) -> list[GenePrior]:
-    """One distribution for each gene (Saunders 2009, section II and Table I).
+    """Return a distribution for each gene (Saunders 2009, section II and Table I).
 
     A K_i describes one segment, so genes of the same parameter in several segments get the same
     distribution.
 
     Args:
-        parameters: the K_i.
+        parameters: the design parameters K_i.
         genes: all genes of the genome.
-        floor_ratio: highest over lowest density of a Gaussian; 3 in the paper ("one third").
+        floor_ratio: maximum over minimum density of a Gaussian; 3 in the paper ("one third").
 
     Raises:
-        CaterpillarError: two K_i have the same name, one uses an unknown gene, or see `best_node`.
+        CaterpillarError: two K_i have the same name, a K_i uses an unknown gene, or `best_node` fails.
     """
     check_floor_ratio(floor_ratio)
     names = [k.name for k in parameters]
@@ -198,13 +198,13 @@ def paper_priors(
     *,
     mirrored: bool = False,
 ) -> list[GenePrior]:
-    """The paper's Table I for the robots of an encoding.
+    """Return the paper's Table I for the robots of an encoding.
 
     Args:
         encoding: the genes, and the physics that the K_i depend on.
-        floor_ratio: highest over lowest density of a Gaussian, before clamping.
-        clipping: how to read the paper's "clipped Gaussian".
-        mirrored: whether to move every peak to the opposite end, for a misleading prior.
+        floor_ratio: maximum over minimum density of a Gaussian, before clamping.
+        clipping: interpretation of the paper's "clipped Gaussian".
+        mirrored: whether to mirror every peak, which gives a misleading prior.
 
     Raises:
         CaterpillarError: see `preprocess`.

@@ -1,4 +1,4 @@
-"""SQLite files that one process at a time writes to: locks, connections, errors and digests."""
+"""SQLite files with a single writer: locks, connections, errors and digests."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class JournalError(CaterpillarError):
 
 
 class JournalDamagedError(JournalError):
-    """A journal's file is damaged; `Journal.repair` keeps what precedes the damage."""
+    """A journal's file is damaged; `Journal.repair` recovers the evaluations before the damage."""
 
 
 def is_in_use(folder: Path) -> bool:
-    """Whether a process has the journal of a folder open for writing."""
+    """Return whether a process has the journal of a folder open for writing."""
     try:
         with (folder / ".lock").open("r", encoding="utf-8") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -38,7 +38,7 @@ def is_in_use(folder: Path) -> bool:
 
 
 def connect(path: Path, *, read_only: bool) -> sqlite3.Connection:
-    """Open an SQLite file so that committed rows survive a crash of the machine."""
+    """Open an SQLite file. Committed rows survive a crash of the machine."""
     db = sqlite3.connect(path, timeout=_BUSY_S)
     try:
         if not read_only:
@@ -56,7 +56,7 @@ def lock(folder: Path) -> IO[str]:
     """Lock a folder until the file is closed or the process ends."""
     with explain_errors(folder / ".lock"):
         file = (folder / ".lock").open("w", encoding="utf-8")
-    for attempt in range(_LOCK_ATTEMPTS):  # `is_in_use` holds the lock for an instant
+    for attempt in range(_LOCK_ATTEMPTS):  # `is_in_use` holds the lock briefly
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return file
@@ -68,7 +68,7 @@ def lock(folder: Path) -> IO[str]:
 
 
 def damaged(path: Path, why: str) -> JournalDamagedError:
-    """The error that reports damage and names the repair."""
+    """Return an error that reports damage and explains how to repair it."""
     return JournalDamagedError(
         f"{path} is damaged: {why}. `caterpillar resume {path.parent} --repair` keeps the evaluations "
         "before the damage and continues from there; the damaged file is kept beside it"
@@ -77,7 +77,7 @@ def damaged(path: Path, why: str) -> JournalDamagedError:
 
 @contextmanager
 def explain_errors(path: Path) -> Iterator[None]:
-    """Turn errors of SQLite and of the file system into a `JournalError`."""
+    """Convert SQLite and file system errors to a `JournalError`."""
     try:
         yield
     except (sqlite3.OperationalError, OSError) as error:
@@ -88,7 +88,7 @@ def explain_errors(path: Path) -> Iterator[None]:
 
 
 def digest(values: Sequence[Any]) -> bytes:
-    """A digest of a row's values and their types."""
+    """Return a digest of the values of a row and their types."""
     state = hashlib.blake2b(digest_size=8)
     for value in values:
         part = value if isinstance(value, bytes) else repr(value).encode()

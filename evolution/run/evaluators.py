@@ -1,4 +1,4 @@
-"""Where genomes are evaluated: on the cores of this machine, or on the workers of a Ray cluster.
+"""Evaluators: they simulate genomes on the cores of this machine, or on a Ray cluster.
 
 A result depends only on the genome and its encoding, bit for bit. It does not depend on the evaluator,
 the number of workers, or the genomes that are evaluated together.
@@ -23,11 +23,11 @@ _CONNECT_TIMEOUT_S = 5.0
 
 
 class EvaluationError(CaterpillarError):
-    """An evaluation raised an exception, or the evaluator cannot be used; nothing is scored."""
+    """An evaluation raised an exception, or the evaluator cannot be used."""
 
 
 class Evaluator(Protocol):
-    """Evaluates chunks of genomes. A context manager that releases its workers."""
+    """Interface of evaluators. The context manager releases the workers."""
 
     def __enter__(self) -> Evaluator: ...
 
@@ -42,7 +42,7 @@ class Evaluator(Protocol):
         """Yield the outcomes of each chunk, in order.
 
         Args:
-            encoding: meaning of the genomes.
+            encoding: maps the genomes to robots.
             chunks: arrays of genomes, each of shape (P, n).
             on_progress: called with the share of the next chunk that is evaluated, in [0, 1].
         """
@@ -57,14 +57,17 @@ def evaluate(
     duration_s: float = EPISODE_S,
     on_progress: Callable[[float], None] | None = None,
 ) -> Outcomes:
-    """Simulate the robots of P genomes side by side, each until it fails.
+    """Simulate the robots of P genomes. Each robot stops when it fails.
 
     Args:
-        genomes: in [0, 1], shape (P, n).
-        encoding: meaning of the genomes.
+        genomes: array of shape (P, n) with values in [0, 1].
+        encoding: maps the genomes to robots.
         threads: number of threads; 0 for all usable cores. Results do not depend on it.
         duration_s: simulated time of each robot, s.
-        on_progress: called with the share that is simulated, in [0, 1].
+        on_progress: called with the share of the time that is simulated, in [0, 1].
+
+    Returns:
+        The outcomes, arrays of shape (P,).
     """
     bodies, timings = encoding.decode(genomes)
     return simulate(
@@ -74,7 +77,7 @@ def evaluate(
 
 
 def evaluate_chunk(genomes: Array, encoding: Encoding, **kwargs: Any) -> Outcomes:
-    """Evaluate genomes (P, n); an exception names the genome that caused it.
+    """Evaluate genomes (P, n), and name the genome that causes an exception.
 
     Raises:
         EvaluationError: an evaluation raised an exception.
@@ -92,7 +95,7 @@ def evaluate_chunk(genomes: Array, encoding: Encoding, **kwargs: Any) -> Outcome
                 ) from cause
         raise EvaluationError(
             f"evaluating {len(genomes)} genomes together failed with {type(error).__name__}: {error}; "
-            "each of them alone did not fail"
+            "none of them fails alone"
         ) from error
 
 
@@ -151,7 +154,7 @@ class RayEvaluator:
         chunks: Sequence[Array],
         on_progress: Callable[[float], None] | None = None,
     ) -> Iterator[Outcomes]:
-        """See `Evaluator.map`; `on_progress` is not called, because workers report whole chunks."""
+        """See `Evaluator.map`. Workers report complete chunks, so `on_progress` is not called."""
         import ray
 
         # One thread per task, as many tasks as cores. Ray restarts the task of a lost worker.
@@ -174,11 +177,11 @@ class RayEvaluator:
 
 @contextmanager
 def connect_ray(address: str | None = None) -> Iterator[None]:
-    """Connect to a Ray cluster, or keep the connection that exists.
+    """Connect to a Ray cluster, or use the existing connection.
 
     Args:
-        address: of a running cluster; "auto" finds the one that this machine belongs to. None starts a
-            cluster on this machine, which ends with the context.
+        address: address of a running cluster, or "auto" for the cluster of this machine. None starts a
+            cluster on this machine and stops it at the end of the context.
 
     Raises:
         EvaluationError: Ray is not installed, or no cluster can be reached.

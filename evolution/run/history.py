@@ -1,4 +1,4 @@
-"""The history of a run: everything that its journal records, read in one place."""
+"""The history of a run: the content of its journal, and the summaries made from it."""
 
 from __future__ import annotations
 
@@ -37,22 +37,22 @@ class Generation(NamedTuple):
     best_m: float  #: distance of the best robot so far; 0 if there is none
     mean_m: float  #: mean distance of the genomes of this generation; a failure counts as 0
     failures: dict[str, int]  #: number of genomes of this generation that failed, by failure
-    evaluations: int  #: of the run so far
-    simulated_s: float  #: of the run so far
+    evaluations: int  #: number of evaluations of the run so far
+    simulated_s: float  #: simulated time of the run so far, s
     elapsed_s: float  #: wall time since this session began
     replayed: bool = False  #: whether all of its evaluations were in the journal already
-    farthest_m: float = 0.0  #: greatest distance so far of a robot that did not fail
+    farthest_m: float = 0.0  #: largest distance so far of a robot that did not fail
 
 
 class History:
     """The evaluations, generations and best robot of a run.
 
-    To read: `History.read(folder)`. To record each generation in turn: `replay` its known evaluations,
-    `append` the others, then `complete` it.
+    Read a run with `History.read(folder)`. To record a run, repeat for each generation: `replay` its
+    known evaluations, `append` the others, then `complete` it.
 
     Args:
         journal: open journal of the run.
-        objective: the user's own objective, if the run is driven by one.
+        objective: the user's own objective, if the run maximizes one.
     """
 
     def __init__(self, journal: Journal, objective: Objective | None = None) -> None:
@@ -64,13 +64,13 @@ class History:
         self.finished = journal.finished
         self.evaluations: list[Evaluation] = list(journal.evaluations())
         self.generations: list[Generation] = []
-        self.best: Evaluation | None = None  #: see `objective.find_best`
+        self.best: Evaluation | None = None  #: the best evaluation so far, see `objective.find_best`
         self._best_objective = -np.inf
         self._completions = journal.generations()
 
     @classmethod
     def read(cls, folder: Path | str) -> History:
-        """Read the journal of a run folder, also while another process writes to it.
+        """Read the journal of a run folder, even while another process writes to it.
 
         Raises:
             JournalError: there is no journal, it is damaged, or it has a newer schema.
@@ -94,11 +94,11 @@ class History:
         """The configuration of an evolutionary run.
 
         Raises:
-            RunError: the folder holds a training.
+            RunError: the folder holds a training run.
         """
         if self.kind != "evolution":
             raise RunError(
-                f"{self.folder} holds a {self.kind}, not an evolutionary run; use `caterpillar rl`"
+                f"{self.folder} holds a {self.kind} run, not an evolutionary run; use `caterpillar rl`"
             )
         data = {k: v for k, v in self.configuration.items() if not k.startswith("own_")}
         return RunConfig.from_dict(data)
@@ -110,29 +110,29 @@ class History:
 
     @property
     def own_objective(self) -> str | None:
-        """Name of the user's own objective, if the run maximised one."""
+        """Name of the user's own objective, if the run maximizes one."""
         return self.configuration.get("own_objective")
 
     @property
     def simulated_s(self) -> float:
-        """Simulated seconds of the completed generations."""
+        """Simulated time of the completed generations, s."""
         return self.generations[-1].simulated_s if self.generations else 0.0
 
     @property
     def farthest_m(self) -> float:
-        """Greatest distance of a robot that did not fail, in m; 0 if there is none."""
+        """Largest distance of a robot that did not fail, in m; 0 if there is none."""
         return self.generations[-1].farthest_m if self.generations else 0.0
 
     @property
     def wall_s(self) -> float | None:
-        """Wall time in s of a run that ended in its first session, else None."""
+        """Wall time in s; None unless the run ended in its first session."""
         return self.sessions[0].wall_s if self.sessions else None
 
     def ending(self, generations: int | None = None) -> str | None:
-        """Why the run is over, in words; None if another generation follows.
+        """Return why the run is over, or None if another generation follows.
 
         Args:
-            generations: the total number of generations, instead of the configured one.
+            generations: total number of generations; by default, the configured one.
         """
         config = self.config
         if generations is not None:
@@ -141,11 +141,11 @@ class History:
 
     @property
     def best_robot(self) -> Robot | None:
-        """The best robot so far; None if no robot qualified, see `objective.find_best`."""
+        """The best robot so far, or None if no robot qualifies; see `objective.find_best`."""
         return None if self.best is None else self.robot(self.best)
 
     def robot(self, evaluation: Evaluation) -> Robot:
-        """The robot of an evaluation, with its record."""
+        """Return the robot of an evaluation, with its recorded results."""
         fitness_m = float(to_outcomes([evaluation]).fitness()[0])
         return self.config.encoding.robot(
             evaluation.genome, fitness_m=fitness_m, generation=evaluation.generation,
@@ -153,9 +153,9 @@ class History:
         )  # fmt: skip
 
     def leaders(self) -> list[Robot]:
-        """The best robot so far after each completed generation.
+        """Return the best robot so far after each completed generation.
 
-        Before any robot qualifies as the best, it is the one that got farthest.
+        Until a robot qualifies as the best, the robot with the largest distance takes its place.
 
         Raises:
             RunError: no generation is complete.
@@ -174,9 +174,9 @@ class History:
         return leaders
 
     def table(self) -> polars.DataFrame:
-        """One row per evaluation: outcome, fitness and all genes in SI units.
+        """Return one row per evaluation: outcome, fitness and all genes in SI units.
 
-        The fitness is null for a training, and where the run maximised the user's own objective.
+        The fitness is null in training runs, and in runs that maximize the user's own objective.
         """
         import polars
 
@@ -198,7 +198,7 @@ class History:
         return polars.DataFrame(columns | {name: values[:, i] for i, name in enumerate(names)})
 
     def _gene_values(self) -> tuple[list[str], Array]:
-        """Names and values in SI units, (E, n), of the genes; those of a training are of the body."""
+        """Return gene names, and values (E, n) in SI units. Training runs have morphology genes only."""
         genomes = [e.genome for e in self.evaluations]
         if self.kind == "training":
             bodies = [Morphology.from_unit(genome).to_array() for genome in genomes]
@@ -209,19 +209,19 @@ class History:
         return names, gene_values(*self.config.encoding.decode(np.array(genomes)))
 
     def replay(self, genomes: Array) -> int:
-        """Number of genomes (P, n) of the next generation that are in the journal already.
+        """Return how many genomes (P, n) of the next generation are in the journal already.
 
         Raises:
-            RunError: the journal has other genomes in this place.
+            RunError: the journal has different genomes in this place.
         """
         known = self._rows(len(self.generations))
         for evaluation, genome in zip(known, genomes, strict=False):
             if not np.array_equal(evaluation.genome, genome):
                 raise RunError(
-                    f"evaluation {evaluation.number} in {self._journal.path} is of another genome than "
-                    "the optimizer proposes now. The package or NumPy has changed since, or the journal "
-                    "belongs to another run. Install the versions in its table `sessions`, or start a "
-                    "new run"
+                    f"evaluation {evaluation.number} in {self._journal.path} has a different genome "
+                    "from the one that the optimizer proposes now. The package or NumPy has changed, or "
+                    "the journal belongs to a different run. Install the versions in its table "
+                    "`sessions`, or start a new run"
                 )
         return len(known)
 
@@ -240,9 +240,9 @@ class History:
         self.evaluations += self._journal.append(rows)
 
     def complete(self, *, replayed: bool = False) -> Outcomes:
-        """Complete the next generation; the outcomes of its genomes.
+        """Complete the next generation, and return the outcomes of its genomes.
 
-        The end of the generation is recorded, and the best robot is written to best.json if it changed.
+        This records the completion, and writes the best robot to best.json if it changed.
 
         Args:
             replayed: whether all of its evaluations were in the journal already.

@@ -1,14 +1,14 @@
 """The journal of a run: one SQLite file with the configuration and every evaluation, in order.
 
-Tables (any SQLite tool can read them; docs/runs.md describes the columns):
+Tables (readable with any SQLite tool; docs/runs.md describes the columns):
 
-- `run`: one row, the configuration as JSON.
-- `sessions`: one row each time the run was started or resumed, with the versions it ran under.
+- `run`: one row with the configuration as JSON.
+- `sessions`: one row each time the run was started or resumed, with the versions in use.
 - `evaluations`: one row per genome, committed in chunks.
 - `generations`: one row per completed generation, with the best evaluation so far.
 
-Each row of the last two tables carries a digest, which detects damage. The state of the optimizer is not
-stored: a run is resumed by replaying it from the journal.
+The digests in the last two tables detect damage. The state of the optimizer is not stored: a run is
+resumed by replaying it from the journal.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from evolution.run.database import JournalError, connect, damaged, digest, expla
 from evolution.run.records import Completion, Evaluation, Session, fingerprint
 
 FILE = "journal.sqlite"
-SCHEMA = 2  #: 1 had no table `generations`
+SCHEMA = 2  #: schema 1 had no table `generations`
 _APPLICATION = 0x43415450  # "CATP"
 
 _GENERATIONS = """
@@ -69,7 +69,7 @@ class Journal:
 
     Args:
         folder: the run folder.
-        read_only: open for reading, also while another process writes.
+        read_only: open for reading only, which works while another process writes.
 
     Raises:
         JournalError: there is no journal, another process is writing to it, or it has a newer schema.
@@ -108,7 +108,7 @@ class Journal:
                     f"{_TABLES} COMMIT;"
                 )
                 db.execute("INSERT INTO run VALUES (?)", [json.dumps(configuration)])
-            os.replace(partial, path)  # the journal appears complete or not at all
+            os.replace(partial, path)  # atomic, so that no incomplete journal exists
         return cls(folder)
 
     def __enter__(self) -> Journal:
@@ -175,10 +175,10 @@ class Journal:
         return [Session(n, start, end, json.loads(text)) for n, start, end, text in rows]
 
     def begin(self, packages: Sequence[str] = ()) -> None:
-        """Begin a session; evaluations belong to it from now on.
+        """Begin a session. Later evaluations belong to it.
 
         Args:
-            packages: names of packages whose versions matter besides those of `fingerprint`.
+            packages: names of packages whose versions to record besides those of `fingerprint`.
         """
         with explain_errors(self.path), self._db:
             row = self._db.execute(
@@ -200,7 +200,7 @@ class Journal:
         return any(s.finished is not None for s in self.sessions[-1:])
 
     def append(self, evaluations: Sequence[Evaluation]) -> list[Evaluation]:
-        """Add evaluations: all of them or, after a crash, none. Returns them with their session.
+        """Add evaluations in one transaction, and return them with their session.
 
         Raises:
             JournalError: the file cannot be written, for example because the disk is full; the journal
@@ -219,7 +219,7 @@ class Journal:
         return added
 
     def complete(self, completion: Completion) -> None:
-        """Record the end of a generation."""
+        """Record the completion of a generation."""
         self._insert("generations", [(*completion, digest(completion))])
 
     def _insert(self, table: str, rows: Sequence[Sequence[Any]]) -> None:
@@ -229,10 +229,10 @@ class Journal:
                 self._db.executemany(f"INSERT INTO {table} VALUES ({places})", rows)
 
     def evaluations(self) -> Iterator[Evaluation]:
-        """All evaluations, in order.
+        """Yield all evaluations, in order.
 
         Raises:
-            JournalDamagedError: at the first one that is missing or altered.
+            JournalDamagedError: an evaluation is missing or was altered.
         """
         for number, values in enumerate(self._read("evaluations", "evaluation")):
             if values[0] != number:
@@ -244,7 +244,7 @@ class Journal:
             )
 
     def generations(self) -> list[Completion]:
-        """The completed generations, in order; empty for a file with schema 1.
+        """Return the completed generations, in order. Files with schema 1 record none.
 
         Raises:
             JournalDamagedError: a row was altered.
@@ -254,7 +254,7 @@ class Journal:
         return [Completion(*values) for values in self._read("generations", "generation")]
 
     def _read(self, table: str, key: str) -> Iterator[tuple[Any, ...]]:
-        """The rows of a table without their digests, which are checked."""
+        """Yield the rows of a table without their digests, after checking these."""
         count = 0
         try:
             for *values, stored in self._db.execute(f"SELECT * FROM {table} ORDER BY {key}"):
@@ -267,10 +267,10 @@ class Journal:
 
     @classmethod
     def repair(cls, folder: Path) -> int:
-        """Keep the evaluations that precede the first damage.
+        """Keep the evaluations before the first damage.
 
-        The damaged file is kept as `journal.sqlite.damaged`, numbered if that exists. Completed generations are recorded again
-        when the run is resumed.
+        The damaged file is kept as `journal.sqlite.damaged`, numbered if that exists. Resuming the run
+        records the completed generations again.
 
         Returns:
             Number of evaluations kept.
@@ -322,9 +322,10 @@ def _find(folder: Path) -> Path:
 
 
 def read_progress(folder: Path) -> tuple[float, float]:
-    """Simulated seconds and greatest distance in m without failure so far; zeros without a journal.
+    """Return the simulated seconds, and the largest distance in m of a robot that did not fail.
 
-    Cheap enough to poll a run: it reads no genomes and checks no digests.
+    Both are 0 without a journal. To be fast enough for polling, this reads no genomes and checks no
+    digests.
     """
     try:
         with closing(sqlite3.connect(f"{(folder / FILE).resolve().as_uri()}?mode=ro", uri=True)) as db:

@@ -1,7 +1,7 @@
-"""The loop of a run: ask the optimizer, evaluate its genomes, record them, tell it their fitness.
+"""The main loop: ask the optimizer for genomes, evaluate and record them, and tell it their fitness.
 
-A run is resumed by replaying it: a new optimizer proposes the same genomes again, and the journal
-answers for those that were evaluated before.
+A run is resumed by replaying it: a new optimizer proposes the same genomes again, and the outcomes of
+those evaluated before come from the journal.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ def evolve(
     whenever the best robot changes. A KeyboardInterrupt stops the run; `resume` continues it.
 
     Args:
-        config: what to compute.
-        folder: run folder; created, must be empty.
-        evaluator: where to compute; by default on all usable cores of this machine.
+        config: configuration of the run.
+        folder: run folder. It is created if needed, and must be empty.
+        evaluator: evaluates the genomes; by default, all usable cores of this machine.
         optimizer: your own optimizer instead of `config.optimizer`, see
             `evolution.optimizers.base.Optimizer`.
         objective: your own objective instead of `config.objective`. Takes the `Outcomes` of P robots and
-            returns P finite numbers, shape (P,); greater is better. Robots that failed receive
+            returns P finite numbers, shape (P,). Higher is better. Robots that failed receive
             `config.failed_fitness` instead.
         on_generation: called with a summary of each completed generation.
         on_progress: called with the share of the current generation that is evaluated, in [0, 1].
@@ -61,8 +61,8 @@ def evolve(
     """
     folder = Path(folder)
     own = {"own_optimizer": _name(optimizer), "own_objective": _name(objective)}
-    optimizer = optimizer or config.make_optimizer()  # if it fails, no folder is made
-    with evaluator or LocalEvaluator() as workers:  # an unreachable cluster leaves no folder behind
+    optimizer = optimizer or config.make_optimizer()  # if this fails, no folder is made
+    with evaluator or LocalEvaluator() as workers:  # if this fails, no folder is made
         make_folder(folder, f", or continue the run in it with `caterpillar resume {folder}`")
         with Journal.create(folder, config.to_dict() | own) as journal:
             return _run(journal, optimizer, objective, workers, on_generation, on_progress)
@@ -97,8 +97,8 @@ def resume(
     Raises:
         JournalError: there is no journal, another process is writing to it, it is damaged, or it has a
             newer schema.
-        RunError: the optimizer proposes other genomes than those in the journal, or your own optimizer
-            or objective is missing.
+        RunError: the optimizer proposes genomes that differ from those in the journal, or your own
+            optimizer or objective is missing.
     """
     with Journal(Path(folder)) as journal:
         history = History(journal)
@@ -118,7 +118,7 @@ def resume(
             _warn_of_versions(history, on_warning)
         optimizer = optimizer or history.config.make_optimizer()
         with evaluator or LocalEvaluator() as workers:
-            if generations is not None:  # a cluster that cannot be reached changes nothing
+            if generations is not None:  # only once the evaluator is available
                 longer = replace(history.config, generations=generations)
                 journal.configure(history.configuration | longer.to_dict())
             return _run(journal, optimizer, objective, workers, on_generation, on_progress)
@@ -161,7 +161,7 @@ def _evaluate(
     genomes: Array,
     on_progress: Callable[[float], None] | None,
 ) -> Iterator[Outcomes]:
-    """The outcomes of genomes (P, n), chunk by chunk."""
+    """Yield the outcomes of genomes (P, n), one chunk at a time."""
     chunks = [genomes[i : i + CHUNK] for i in range(0, len(genomes), CHUNK)]
     done = 0
 

@@ -1,4 +1,4 @@
-"""Objectives: the number that a run maximises, and the definition of the best robot."""
+"""Objectives, which a run maximizes, and the definition of the best robot."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure
 
 ObjectiveName = Literal["distance", "distance-per-energy"]
-#: Takes the outcomes of P robots and returns P numbers, shape (P,); greater is better.
+#: Takes the outcomes of P robots and returns P numbers, shape (P,). Higher is better.
 Objective = Callable[[Outcomes], Array]
 
 
@@ -22,12 +22,12 @@ class ObjectiveError(CaterpillarError):
 
 
 def distance(outcomes: Outcomes) -> Array:
-    """Distance crawled forwards, m; 0 for a robot that ends behind its start, (P,)."""
+    """Return the distance crawled forwards in m, (P,). A robot that ends behind its start scores 0."""
     return np.maximum(outcomes.distance_m, 0.0)
 
 
 def distance_per_energy(outcomes: Outcomes) -> Array:
-    """Distance crawled forwards per electrical energy, m/J, (P,)."""
+    """Return the distance crawled forwards per electrical energy in m/J, (P,)."""
     energy_j = outcomes.energy_j
     return np.divide(distance(outcomes), energy_j, out=np.zeros_like(energy_j), where=energy_j > 0)
 
@@ -39,15 +39,16 @@ OBJECTIVES: dict[ObjectiveName, Objective] = {
 
 
 def score(objective: Objective, outcomes: Outcomes, failed_fitness: float) -> Array:
-    """The fitness of P robots, as the optimizer receives it, (P,).
+    """Return the fitness of P robots that the optimizer receives, (P,).
 
     Args:
-        objective: scores the robots that did not fail.
-        outcomes: of P robots.
-        failed_fitness: of a robot that failed.
+        objective: function that scores the robots that did not fail.
+        outcomes: outcomes of P robots.
+        failed_fitness: fitness of every robot that failed.
 
     Raises:
-        ObjectiveError: the objective returned another shape, or NaN or infinity for a healthy robot.
+        ObjectiveError: the objective returned an array of the wrong shape, or NaN or infinity for a
+            robot that did not fail.
     """
     healthy = outcomes.failure == Failure.NONE
     values = np.asarray(objective(outcomes), dtype=np.float64)
@@ -60,10 +61,10 @@ def score(objective: Objective, outcomes: Outcomes, failed_fitness: float) -> Ar
 
 
 def find_best(objective: Objective, outcomes: Outcomes) -> tuple[int, float] | None:
-    """The best of P robots: its index and its objective; None if there is no candidate.
+    """Return the index of the best of P robots and its objective, or None if no robot qualifies.
 
-    This is the only definition of "best". A robot that failed is never the best. With a built-in
-    objective a robot must also have crawled forwards. Of equal robots, the first is the best.
+    This is the only definition of "best". Robots that failed do not qualify. With a built-in
+    objective, neither do robots that did not crawl forwards. Ties go to the first robot.
     """
     values = score(objective, outcomes, -np.inf)
     if objective in OBJECTIVES.values():

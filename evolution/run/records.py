@@ -20,7 +20,7 @@ _PACKAGES = ("caterpillar-sma", "mujoco", "numpy", "scipy", "cma")
 class Evaluation(NamedTuple):
     """One genome and its outcome."""
 
-    number: int  #: counts all evaluations of the run from 0
+    number: int  #: index among all evaluations of the run, from 0
     generation: int
     genome: Array  #: in [0, 1], (n,)
     failure: Failure
@@ -31,12 +31,12 @@ class Evaluation(NamedTuple):
 
 
 class Completion(NamedTuple):
-    """The end of a generation."""
+    """The state of a run when a generation was completed."""
 
     generation: int
-    evaluations: int  #: of the run up to here
+    evaluations: int  #: number of evaluations of the run so far
     best: int | None  #: number of the best evaluation so far
-    objective: float | None  #: its objective
+    objective: float | None  #: objective of that evaluation
 
 
 class Session(NamedTuple):
@@ -44,8 +44,8 @@ class Session(NamedTuple):
 
     number: int  #: from 1
     started: str  #: date and time, UTC
-    finished: str | None  #: likewise; None if the run did not end in this session
-    fingerprint: dict[str, str]  #: versions and machine, see `fingerprint`
+    finished: str | None  #: date and time, UTC; None if the run did not end in this session
+    fingerprint: dict[str, str]  #: versions and machine type, see `fingerprint`
 
     @property
     def wall_s(self) -> float | None:
@@ -57,13 +57,17 @@ class Session(NamedTuple):
 
 
 def fingerprint(packages: Sequence[str] = ()) -> dict[str, str]:
-    """The versions and the machine type that results depend on; `packages` names additional ones."""
+    """Return the versions and the machine type that results depend on.
+
+    Args:
+        packages: names of additional packages.
+    """
     versions = {name: version(name) for name in (*_PACKAGES, *packages)}
     return versions | {"python": platform.python_version(), "machine": platform.machine()}
 
 
 def to_outcomes(evaluations: Sequence[Evaluation]) -> Outcomes:
-    """The outcomes of P recorded evaluations as arrays, (P,)."""
+    """Return the outcomes of P recorded evaluations as arrays of shape (P,)."""
     return Outcomes(
         np.array([e.failure for e in evaluations], dtype=np.int8),
         np.array([e.distance_m for e in evaluations], dtype=np.float64),

@@ -485,7 +485,7 @@ def test_genome_that_differs_in_replay_is_an_error_that_says_so(tmp_path):
     evolve(TINY, tmp_path, evaluator=ONE)
     with Journal(tmp_path) as journal:
         journal.configure({**replace(TINY, seed=9).to_dict(), "own_optimizer": None})
-    with pytest.raises(RunError, match=r"evaluation 0 in .* is of another genome") as told:
+    with pytest.raises(RunError, match=r"evaluation 0 in .* has a different genome") as told:
         resume(tmp_path)
     assert "start a new run" in str(told.value)
 
