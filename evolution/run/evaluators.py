@@ -10,7 +10,7 @@ import os
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
@@ -21,6 +21,8 @@ from evolution.genome import Encoding
 CHUNK = 50  #: number of genomes that are evaluated and recorded together
 _CONNECT_TIMEOUT_S = 5.0
 
+OnProgress = Callable[[float], None]  #: called with the share that is evaluated, in [0, 1]
+
 
 class EvaluationError(CaterpillarError):
     """An evaluation raised an exception, or the evaluator cannot be used."""
@@ -29,15 +31,14 @@ class EvaluationError(CaterpillarError):
 class Evaluator(Protocol):
     """Interface of evaluators. The context manager releases the workers."""
 
-    def __enter__(self) -> Evaluator: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(self, *_: object) -> None: ...
+    def __exit__(self, *_: object) -> None:
+        return None
 
     def map(
-        self,
-        encoding: Encoding,
-        chunks: Sequence[Array],
-        on_progress: Callable[[float], None] | None = None,
+        self, encoding: Encoding, chunks: Sequence[Array], on_progress: OnProgress | None = None
     ) -> Iterator[Outcomes]:
         """Yield the outcomes of each chunk, in order.
 
@@ -55,7 +56,7 @@ def evaluate(
     *,
     threads: int = 0,
     duration_s: float = EPISODE_S,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> Outcomes:
     """Simulate the robots of P genomes. Each robot stops when it fails.
 
@@ -99,7 +100,7 @@ def evaluate_chunk(genomes: Array, encoding: Encoding, **kwargs: Any) -> Outcome
         ) from error
 
 
-class LocalEvaluator:
+class LocalEvaluator(Evaluator):
     """Evaluates on threads of this process.
 
     Args:
@@ -109,24 +110,15 @@ class LocalEvaluator:
     def __init__(self, threads: int = 0) -> None:
         self._threads = threads
 
-    def __enter__(self) -> LocalEvaluator:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
     def map(
-        self,
-        encoding: Encoding,
-        chunks: Sequence[Array],
-        on_progress: Callable[[float], None] | None = None,
+        self, encoding: Encoding, chunks: Sequence[Array], on_progress: OnProgress | None = None
     ) -> Iterator[Outcomes]:
         """See `Evaluator.map`."""
         for chunk in chunks:
             yield evaluate_chunk(chunk, encoding, threads=self._threads, on_progress=on_progress)
 
 
-class RayEvaluator:
+class RayEvaluator(Evaluator):
     """Evaluates on the workers of a Ray cluster, one chunk per worker at a time.
 
     The chunk of a lost worker is evaluated again elsewhere.
@@ -141,7 +133,7 @@ class RayEvaluator:
     def __init__(self, address: str | None = None) -> None:
         self._connection = connect_ray(address)
 
-    def __enter__(self) -> RayEvaluator:
+    def __enter__(self) -> Self:
         self._connection.__enter__()
         return self
 
@@ -149,10 +141,7 @@ class RayEvaluator:
         self._connection.__exit__(*exception)
 
     def map(
-        self,
-        encoding: Encoding,
-        chunks: Sequence[Array],
-        on_progress: Callable[[float], None] | None = None,
+        self, encoding: Encoding, chunks: Sequence[Array], on_progress: OnProgress | None = None
     ) -> Iterator[Outcomes]:
         """See `Evaluator.map`. Workers report complete chunks, so `on_progress` is not called."""
         import ray

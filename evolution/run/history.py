@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -73,7 +74,7 @@ class History:
         """Read the journal of a run folder, even while another process writes to it.
 
         Raises:
-            JournalError: there is no journal, it is damaged, or it has a newer schema.
+            JournalError: the journal cannot be read, see `Journal`.
         """
         with Journal(Path(folder), read_only=True) as journal:
             history = cls(journal)
@@ -214,7 +215,7 @@ class History:
         Raises:
             RunError: the journal has different genomes in this place.
         """
-        known = self._rows(len(self.generations))
+        known = self._next_rows()
         for evaluation, genome in zip(known, genomes, strict=False):
             if not np.array_equal(evaluation.genome, genome):
                 raise RunError(
@@ -230,12 +231,8 @@ class History:
         first, generation = len(self.evaluations), len(self.generations)
         columns = (column.tolist() for column in outcomes)
         rows = [
-            Evaluation(
-                first + i, generation, genome, Failure(failure), distance_m, energy_j, simulated_s, 0
-            )
-            for i, (genome, failure, distance_m, energy_j, simulated_s) in enumerate(
-                zip(genomes, *columns, strict=True)
-            )
+            Evaluation(first + i, generation, genome, Failure(failure), *numbers, 0)
+            for i, (genome, failure, *numbers) in enumerate(zip(genomes, *columns, strict=True))
         ]
         self.evaluations += self._journal.append(rows)
 
@@ -263,17 +260,14 @@ class History:
         self._journal.finish()
         self.finished, self.sessions = True, self._journal.sessions
 
-    def _rows(self, generation: int) -> list[Evaluation]:
+    def _next_rows(self) -> list[Evaluation]:
+        """Return the known evaluations of the next generation."""
         first = self.generations[-1].evaluations if self.generations else 0
-        rows = []
-        for evaluation in self.evaluations[first:]:
-            if evaluation.generation != generation:
-                break
-            rows.append(evaluation)
-        return rows
+        number = len(self.generations)
+        return list(takewhile(lambda e: e.generation == number, self.evaluations[first:]))
 
     def _find_completion(self, rows: Sequence[Evaluation]) -> Completion:
-        """The end of the next generation, which consists of these evaluations."""
+        """Return the completion of the next generation, given all of its evaluations."""
         objective = self._objective or distance
         if self._objective is None and self.kind == "evolution":
             objective = OBJECTIVES[self.config.objective]
@@ -287,9 +281,9 @@ class History:
         return Completion(len(self.generations), end, best.number, value)
 
     def _advance(self, *, replayed: bool) -> Outcomes:
-        """Take the next generation, all of which is evaluated, into account; its outcomes."""
+        """Summarize the next generation, and return its outcomes."""
         number = len(self.generations)
-        rows = self._rows(number)
+        rows = self._next_rows()
         if number == len(self._completions):
             self._completions.append(self._find_completion(rows))
         completion = self._completions[number]

@@ -17,7 +17,7 @@ import json
 import os
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -78,16 +78,19 @@ class Journal:
 
     def __init__(self, folder: Path, *, read_only: bool = False) -> None:
         self.path = _find(folder)
-        self._lock = None if read_only else lock(folder)
         self._session = 0
-        try:
-            self._db = connect(self.path, read_only=read_only)
+        with ExitStack() as stack:
+            if not read_only:
+                stack.enter_context(lock(folder))
+            self._db = stack.enter_context(closing(connect(self.path, read_only=read_only)))
             self._check()
             if not read_only and self._schema == 1:
-                self._upgrade()
-        except BaseException:
-            self._unlock()
-            raise
+                with explain_errors(self.path):
+                    self._db.executescript(
+                        f"BEGIN; PRAGMA user_version = {SCHEMA}; {_GENERATIONS} COMMIT;"
+                    )
+                self._schema = SCHEMA
+            self._resources = stack.pop_all()
 
     @classmethod
     def create(cls, folder: Path, configuration: Mapping[str, Any]) -> Journal:
@@ -119,12 +122,7 @@ class Journal:
 
     def close(self) -> None:
         """Close the file and release the lock."""
-        self._db.close()
-        self._unlock()
-
-    def _unlock(self) -> None:
-        if self._lock is not None:
-            self._lock.close()
+        self._resources.close()
 
     def _check(self) -> None:
         try:
@@ -237,11 +235,9 @@ class Journal:
         for number, values in enumerate(self._read("evaluations", "evaluation")):
             if values[0] != number:
                 raise damaged(self.path, f"evaluation {number} is missing")
-            _, generation, genome, failure, distance_m, energy_j, simulated_s, session = values
+            _, generation, genome, failure, *numbers = values
             genes = np.frombuffer(genome, dtype="<f8").astype(np.float64)
-            yield Evaluation(
-                number, generation, genes, _FAILURES[failure], distance_m, energy_j, simulated_s, session
-            )
+            yield Evaluation(number, generation, genes, _FAILURES[failure], *numbers)
 
     def generations(self) -> list[Completion]:
         """Return the completed generations, in order. Files with schema 1 record none.

@@ -16,7 +16,7 @@ from caterpillar_env.files import make_folder
 from caterpillar_env.robot import Outcomes
 from evolution.config import RunConfig
 from evolution.optimizers.base import Optimizer
-from evolution.run.evaluators import CHUNK, Evaluator, LocalEvaluator
+from evolution.run.evaluators import CHUNK, Evaluator, LocalEvaluator, OnProgress
 from evolution.run.history import Generation, History, RunError
 from evolution.run.journal import Journal
 from evolution.run.objective import OBJECTIVES, Objective, score
@@ -31,7 +31,7 @@ def evolve(
     optimizer: Optimizer | None = None,
     objective: Objective | None = None,
     on_generation: Callable[[Generation], None] | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> History:
     """Run an optimizer and record the run in a new folder.
 
@@ -76,7 +76,7 @@ def resume(
     optimizer: Optimizer | None = None,
     objective: Objective | None = None,
     on_generation: Callable[[Generation], None] | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: OnProgress | None = None,
     on_warning: Callable[[str], None] | None = None,
 ) -> History:
     """Continue a run. A finished run is replayed, and evaluates nothing unless it is made longer.
@@ -95,8 +95,7 @@ def resume(
         The history of the run.
 
     Raises:
-        JournalError: there is no journal, another process is writing to it, it is damaged, or it has a
-            newer schema.
+        JournalError: the journal cannot be opened, see `evolution.run.journal.Journal`.
         RunError: the optimizer proposes genomes that differ from those in the journal, or your own
             optimizer or objective is missing.
     """
@@ -130,7 +129,7 @@ def _run(
     objective: Objective | None,
     evaluator: Evaluator,
     on_generation: Callable[[Generation], None] | None,
-    on_progress: Callable[[float], None] | None,
+    on_progress: OnProgress | None,
 ) -> History:
     history = History(journal, objective)
     config = history.config
@@ -156,10 +155,7 @@ def _run(
 
 
 def _evaluate(
-    evaluator: Evaluator,
-    config: RunConfig,
-    genomes: Array,
-    on_progress: Callable[[float], None] | None,
+    evaluator: Evaluator, config: RunConfig, genomes: Array, on_progress: OnProgress | None
 ) -> Iterator[Outcomes]:
     """Yield the outcomes of genomes (P, n), one chunk at a time."""
     chunks = [genomes[i : i + CHUNK] for i in range(0, len(genomes), CHUNK)]
