@@ -231,8 +231,12 @@ class History:
         first, generation = len(self.evaluations), len(self.generations)
         columns = (column.tolist() for column in outcomes)
         rows = [
-            Evaluation(first + i, generation, genome, Failure(failure), *numbers, 0)
-            for i, (genome, failure, *numbers) in enumerate(zip(genomes, *columns, strict=True))
+            Evaluation(
+                first + i, generation, genome, Failure(failure), distance_m, energy_j, simulated_s, 0
+            )
+            for i, (genome, failure, distance_m, energy_j, simulated_s) in enumerate(
+                zip(genomes, *columns, strict=True)
+            )
         ]
         self.evaluations += self._journal.append(rows)
 

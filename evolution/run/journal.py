@@ -85,11 +85,7 @@ class Journal:
             self._db = stack.enter_context(closing(connect(self.path, read_only=read_only)))
             self._check()
             if not read_only and self._schema == 1:
-                with explain_errors(self.path):
-                    self._db.executescript(
-                        f"BEGIN; PRAGMA user_version = {SCHEMA}; {_GENERATIONS} COMMIT;"
-                    )
-                self._schema = SCHEMA
+                self._upgrade()
             self._resources = stack.pop_all()
 
     @classmethod

@@ -43,7 +43,8 @@ def test_progress_runs_to_the_end_of_each_chunk():
     with LocalEvaluator(1) as evaluator:
         for _ in evaluator.map(ENCODING, CHUNKS[:2], shares.append):
             assert shares[-1] == pytest.approx(1.0)
-    assert len(shares) == 600
+    assert shares == 2 * sorted(set(shares)), "each chunk is reported in increasing steps"
+    assert len(set(shares)) >= 10
 
 
 class Breaks(Encoding):
