@@ -1,4 +1,4 @@
-"""Types of the arrays that the whole project uses."""
+"""Array types of the project."""
 
 from __future__ import annotations
 

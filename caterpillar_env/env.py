@@ -176,7 +176,9 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         if self.render_mode == "rgb_array_list":
             frames, self._frames = self._frames, []
             return frames
-        return self._draw(self.render_mode)
+        if not self._running:
+            raise SimulationError("call reset() before render()")
+        return self._pictures.draw(0, self.render_mode)
 
     def close(self) -> None:
         """Free the window or the drawing context."""
@@ -189,15 +191,10 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
 
     def _draw_live(self) -> None:
         if self.render_mode == "human":
-            self._draw("human")
+            self._pictures.draw(0, "human")
         elif self.render_mode == "rgb_array_list":
-            frame = self._draw("rgb_array")
+            frame = self._pictures.draw(0, "rgb_array")
             self._frames += [] if frame is None else [frame]
-
-    def _draw(self, mode: str) -> Any:
-        if not self._running:
-            raise SimulationError("call reset() before render()")
-        return self._pictures.draw(0, mode)
 
 
 def _scalars(info: dict[str, NDArray[Any]]) -> dict[str, Any]:

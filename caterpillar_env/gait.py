@@ -122,13 +122,13 @@ class GaitTimings:
         """Return the share of each step in which the power is on, over one period.
 
         Args:
-            step_s: length of a step, s; a whole number of steps must make up the period.
+            step_s: length of a step, s. The period must be a multiple of it.
 
         Returns:
             Values in [0, 1], shape (..., steps, springs).
 
         Raises:
-            TimingError: the period is not a whole number of steps.
+            TimingError: the period is not a multiple of `step_s`.
         """
         steps = count_steps(self.period_s, step_s, "the gait period")
         edges = np.linspace(0.0, self.period_s, steps + 1)[:, None]

@@ -47,7 +47,7 @@ class Physics:
     neck_damping_n_m_s_rad: float = 2e-4  #: neck damping by silicone, coils and anchors
     axial_stiffness_n_m: float = 500.0  #: stiffness of the prismatic joint in a segment
     axial_damping_n_s_m: float = 1.0  #: damping of that joint
-    axial_range: float = 0.15  #: travel of that joint in both directions / segment length
+    axial_range: float = 0.15  #: travel of that joint in each direction, relative to the segment length
     bend_ratio: float = 2.0  #: stiffness and damping of the intra-segment hinge, relative to a neck
     bend_axis: BendAxis = "yaw"  #: axis of the intra-segment hinge (our choice)
     friction: float = 0.8  #: coefficient of feet and elements on the ground

@@ -17,7 +17,7 @@ class Pose:
     """
 
     time_s: Array  #: simulated since reset, (R,)
-    com_m: Array  #: centre of mass of the whole robot, (R, 3)
+    com_m: Array  #: centre of mass of the robot, (R, 3)
     up: Array  #: mean upward axis of the elements, (R, 3)
     forward: Array  #: mean forward axis of the elements, (R, 3)
     clearance_m: Array  #: height of the lowest point of feet and elements above the ground, (R,)

@@ -138,17 +138,16 @@ class SmaSpring:
 
 def heating_branch(spring: SmaSpring, temperature_c: Array) -> Array:
     """Return the fraction on heating, a half cosine from 0 at As to 1 at Af (Liang and Rogers 1990)."""
-    share = (temperature_c - spring.austenite_start_c) / (
-        spring.austenite_finish_c - spring.austenite_start_c
-    )
-    return 0.5 - 0.5 * np.cos(np.pi * np.clip(share, 0.0, 1.0))
+    return _half_cosine(temperature_c, spring.austenite_start_c, spring.austenite_finish_c)
 
 
 def cooling_branch(spring: SmaSpring, temperature_c: Array) -> Array:
     """Return the fraction on cooling, a half cosine from 1 at Ms to 0 at Mf (Liang and Rogers 1990)."""
-    share = (temperature_c - spring.martensite_finish_c) / (
-        spring.martensite_start_c - spring.martensite_finish_c
-    )
+    return _half_cosine(temperature_c, spring.martensite_finish_c, spring.martensite_start_c)
+
+
+def _half_cosine(temperature_c: Array, low_c: float, high_c: float) -> Array:
+    share = (temperature_c - low_c) / (high_c - low_c)
     return 0.5 - 0.5 * np.cos(np.pi * np.clip(share, 0.0, 1.0))
 
 
@@ -187,7 +186,7 @@ class SmaStep(NamedTuple):
     state: SmaState  #: after the last step
     fraction: Array  #: xi after each step, shape (K,) + S
     enthalpy_j_kg: Array  #: H after each step, shape (K,) + S
-    power: Array  #: share of the drive power drawn in each step, shape (K,) + S
+    power: Array  #: share of the drive power used in each step, shape (K,) + S
 
 
 def advance(
@@ -211,7 +210,7 @@ def advance(
         ambient_c: air temperature, degC, broadcast to S; `spring.ambient_c` by default.
 
     Returns:
-        The final state, and the fraction, enthalpy and drawn power of each step.
+        The final state, and the fraction, enthalpy and used power of each step.
     """
     c, latent = spring.specific_heat_j_kg_k, spring.latent_heat_j_kg
     tau = spring.time_constant_s
@@ -243,8 +242,8 @@ def advance(
         np.minimum(kept, limits.imag, out=fraction)
     flows = path[:-1] * weight
     unpowered = flows[:, 0] + flows[:, 1] + inflow
-    drawn = (path[1:, 0] - unpowered) * (1.0 / gain if gain > 0 else 0.0)
-    return SmaStep(SmaState(*path[-1]), path[1:, 1], path[1:, 0], drawn)
+    used = (path[1:, 0] - unpowered) * (1.0 / gain if gain > 0 else 0.0)
+    return SmaStep(SmaState(*path[-1]), path[1:, 1], path[1:, 0], used)
 
 
 def spring_force(spring: SmaSpring, length_m: Array, fraction: Array) -> Array:

@@ -49,12 +49,11 @@ class Failure(IntEnum):
 
 _MIN_LOAD_N = 1e-6  # below this load, the robot is in the air
 _NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # members are slow to look up
-_LABELS = {int(failure): failure.label for failure in Failure}
 
 
 def label(failure: int | np.integer[Any]) -> str:
     """Return the name of a failure code, or "ok" for no failure."""
-    return _LABELS[int(failure)]
+    return Failure(int(failure)).label
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ ALL_ON, ALL_OFF = np.ones(12, np.int8), np.zeros(12, np.int8)
 
 
 def timing_env(**kwargs):
-    """An environment whose gait period is one second, at its start."""
+    """Return an environment after reset, with a gait period of 1 s."""
     env = CaterpillarEnv(**{"gait_period_s": 1.0, **kwargs})
     env.reset(seed=0)
     return env
@@ -28,7 +28,7 @@ def switch_env(**kwargs):
 
 
 def fail_at_once(env):
-    """Make everything count as clear of the ground."""
+    """Let every pose count as JUMPED."""
     env.crawl.thresholds = Thresholds(jumped_clearance_m=-1.0)
     return env
 
@@ -60,7 +60,7 @@ def test_documented_sizes_for_four_segments():
     assert CaterpillarEnv(action_mode="switch").observation_space.shape == (68,)
 
 
-def test_first_observation_is_the_start():
+def test_first_observation_describes_the_start():
     env = CaterpillarEnv(action_mode="switch", morphology=SMALL)
     observation, info = env.reset(seed=0)
     seen = dict(zip(env.observation_names, observation.tolist(), strict=True))
@@ -76,7 +76,7 @@ def test_first_observation_is_the_start():
 # Steps
 
 
-def test_step_of_timings_is_one_gait_period_or_several_alike():
+def test_timing_step_repeats_the_gait_period_frame_skip_times():
     env, longer = timing_env(gait_period_s=0.5), timing_env(gait_period_s=0.5, frame_skip=2)
     assert (env.dt, longer.dt) == (0.5, 1.0)
     action = some_action(env)
@@ -86,14 +86,14 @@ def test_step_of_timings_is_one_gait_period_or_several_alike():
     np.testing.assert_array_equal(one[0], other[0])
 
 
-def test_step_of_switches_is_frame_skip_intervals():
+def test_switch_step_lasts_frame_skip_intervals():
     env = switch_env(frame_skip=3)
     assert env.dt == pytest.approx(0.3)
     *_, info = env.step(ALL_OFF)
     assert info["time_s"] == pytest.approx(0.3)
 
 
-def test_pair_action_powers_left_and_right_alike():
+def test_pair_action_powers_both_springs_of_the_pair():
     action = np.full(12, -1.0)
     action[2:4] = [-1.0, 0.0]  # the ventral pair of gap 1, for the first half
     env = timing_env()
@@ -117,7 +117,7 @@ def test_without_symmetry_each_spring_has_its_own_times():
     assert hot == ["temperature:gap1_ventral_right"]
 
 
-def test_symmetric_and_single_springs_agree_on_one_gait():
+def test_symmetric_and_full_actions_give_the_same_gait():
     pairs, single = timing_env(), timing_env(symmetric=False)
     action = some_action(pairs)
     one = pairs.step(action)
@@ -136,7 +136,7 @@ def test_switched_springs_are_those_of_the_action():
     assert hot == ["temperature:gap1_dorsal_left", "temperature:gap2_ventral_right"]
 
 
-def test_actions_beyond_the_box_are_clipped():
+def test_actions_outside_the_box_are_clipped():
     one, other = timing_env(), timing_env()
     action = 3 * some_action(one)
     np.testing.assert_array_equal(one.step(action)[0], other.step(np.clip(action, -1, 1))[0])
@@ -198,12 +198,12 @@ def test_failure_ends_the_episode_within_the_step():
     assert reward == pytest.approx(info["reward_forward"] - 5)
 
 
-def test_failure_in_the_last_step_is_no_truncation():
+def test_failure_in_the_last_step_is_not_a_truncation():
     env = fail_at_once(timing_env(episode_s=timing_env().dt))
     assert env.step(some_action(env))[2:4] == (True, False)
 
 
-def test_failure_may_be_survived():
+def test_failure_can_be_set_not_to_terminate():
     env = fail_at_once(timing_env(terminate_on_failure=False))
     _, _, terminated, _, info = env.step(some_action(env))
     assert not terminated
@@ -250,7 +250,7 @@ def test_noise_moves_joints_by_its_scale():
     assert 1e-4 < max(axials) <= 5e-4  # 1 cm per unit of noise
 
 
-def test_new_body_is_kept_until_replaced():
+def test_new_body_persists_until_replaced():
     env = timing_env()
     env.reset(options={"morphology": SMALL.to_dict()})
     for _ in range(2):
@@ -261,14 +261,14 @@ def test_new_body_is_kept_until_replaced():
     assert env.morphology == Morphology()
 
 
-def test_body_is_changed_in_part():
+def test_partial_morphology_changes_the_nominal_body():
     env = CaterpillarEnv({"segment_length_m": 0.024})
     assert env.morphology == Morphology(segment_length_m=0.024)
     env.reset(options={"morphology": {"segment_radius_m": 0.010}})
     assert env.morphology == Morphology(segment_radius_m=0.010)
 
 
-def test_traces_of_a_step_are_handed_over():
+def test_on_interval_gets_the_traces_of_a_step():
     env, traces = timing_env(), []
     env.on_interval = traces.append
     env.step(some_action(env))
@@ -276,14 +276,14 @@ def test_traces_of_a_step_are_handed_over():
     np.testing.assert_array_equal(traces[-1].qpos[0, -1], env.crawl.simulation.qpos(0))
 
 
-def test_refused_body_leaves_the_old_one():
+def test_invalid_body_does_not_replace_the_old_one():
     env = timing_env(morphology=SMALL)
     with pytest.raises(MorphologyError, match="joint_limit_rad"):
         env.reset(options={"morphology": {**SMALL.to_dict(), "joint_limit_rad": 2.0}})
     assert env.morphology == SMALL
 
 
-def test_pickled_environment_runs_alike():
+def test_pickled_environment_gives_the_same_results():
     env = timing_env(morphology=SMALL.to_dict(), reset_noise_scale=0.01)
     twin = pickle.loads(pickle.dumps(env))
     start, _ = env.reset(seed=5)
@@ -308,7 +308,7 @@ def test_pickled_environment_runs_alike():
     ],
     ids=["short", "deep", "nan", "inf", "none", "text"],
 )
-def test_unusable_action_is_refused_and_nothing_moves(action, message):
+def test_invalid_action_is_rejected_without_a_step(action, message):
     env = timing_env()
     with pytest.raises(TimingError, match=message):
         env.step(action)
@@ -322,12 +322,12 @@ def test_switch_actions_are_on_or_off(value):
         env.step(np.full(12, value))
 
 
-def test_step_needs_a_reset():
+def test_step_before_reset_is_an_error():
     with pytest.raises(SimulationError, match=r"call reset\(\) before step\(\)"):
         CaterpillarEnv().step(np.zeros(12))
 
 
-def test_unknown_option_is_told_with_the_known_ones():
+def test_unknown_option_error_lists_the_known_options():
     env = timing_env()
     with pytest.raises(CaterpillarError, match=r"morphology; got \['body'\]"):
         env.reset(options={"body": SMALL})
@@ -359,7 +359,7 @@ def test_unknown_option_is_told_with_the_known_ones():
     ],
     ids=lambda v: str(v) if isinstance(v, dict) else "",
 )
-def test_unusable_argument_is_refused_with_the_reason(kwargs, error, message):
+def test_invalid_argument_is_rejected_with_the_reason(kwargs, error, message):
     with pytest.raises(error, match=message):
         CaterpillarEnv(**kwargs)
 

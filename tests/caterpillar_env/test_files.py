@@ -7,24 +7,24 @@ from caterpillar_env.files import FileError, make_folder, read, unused, write_js
 
 
 class UnreadError(CaterpillarError):
-    """What is raised where a file cannot be read."""
+    """Error to raise for a file that cannot be read."""
 
 
-def test_folder_that_holds_something_is_refused(tmp_path):
+def test_non_empty_folder_is_rejected(tmp_path):
     make_folder(tmp_path / "a" / "b", "")
     make_folder(tmp_path / "a" / "b", "")  # nothing is in it
     with pytest.raises(FileError, match="a is not empty; choose another with --out, or else"):
         make_folder(tmp_path / "a", ", or else")
 
 
-def test_names_that_are_taken_get_numbers(tmp_path):
+def test_existing_names_get_numbers(tmp_path):
     for expected in ("run", "run-2", "run-3"):
         folder = unused(tmp_path, "run")
         assert folder.name == expected
         folder.mkdir()
 
 
-def test_json_is_whole_and_leaves_nothing_beside_it(tmp_path):
+def test_json_is_written_completely_and_leaves_no_other_file(tmp_path):
     write_json(tmp_path / "x.json", {"a": [1, 2.5]})
     assert json.loads((tmp_path / "x.json").read_text()) == {"a": [1, 2.5]}
     with pytest.raises(TypeError):
@@ -33,7 +33,7 @@ def test_json_is_whole_and_leaves_nothing_beside_it(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["x.json"]
 
 
-def test_what_cannot_be_read_is_told_with_its_file(tmp_path):
+def test_read_errors_name_the_file(tmp_path):
     (tmp_path / "x.json").write_text("{")
     with pytest.raises(UnreadError, match=r"x\.json is not JSON"):
         read(tmp_path / "x.json", dict, UnreadError, "")
@@ -41,7 +41,7 @@ def test_what_cannot_be_read_is_told_with_its_file(tmp_path):
         read(tmp_path / "none.json", dict, UnreadError, "make one")
 
 
-def test_what_cannot_be_written_is_told_and_own_errors_stay(tmp_path):
+def test_write_errors_give_advice_and_own_errors_pass_through(tmp_path):
     path = tmp_path / "none" / "x"
     with pytest.raises(FileError, match="directory; choose another place"), writing(path):
         path.write_text("")

@@ -11,7 +11,7 @@ TIMES = st.floats(0, PERIOD_S)
 
 
 def shares(on_s, off_s, period_s=1.0, step_s=0.1):
-    """Power of one spring over a period."""
+    """Return the power of one spring over a period."""
     return GaitTimings(period_s, [on_s], [off_s]).power(step_s)[:, 0]
 
 
@@ -27,7 +27,7 @@ def test_springs_are_named_gap_by_gap_from_the_head():
     assert pair_names(3) == ["gap1_dorsal", "gap1_ventral", "gap2_dorsal", "gap2_ventral"]
 
 
-def test_mirror_gives_left_and_right_the_value_of_their_pair():
+def test_mirror_repeats_the_value_of_each_pair():
     assert mirror(np.array([[1, 2], [3, 4]])).tolist() == [[1, 1, 2, 2], [3, 3, 4, 4]]
 
 
@@ -59,7 +59,7 @@ def test_equal_times_mean_never_on(at):
     assert not shares(at, at).any()
 
 
-def test_whole_period_means_always_on():
+def test_full_period_means_always_on():
     np.testing.assert_allclose(shares(0.0, 1.0), 1, rtol=1e-12)
 
 
@@ -80,7 +80,7 @@ def test_mean_power_is_the_duty(on_s, off_s):
 
 @settings(deadline=None)
 @given(st.lists(TIMES, min_size=2, max_size=8), st.lists(TIMES, min_size=2, max_size=8))
-def test_springs_do_not_influence_one_another(on, off):
+def test_springs_are_independent(on, off):
     springs = min(len(on), len(off))
     together = GaitTimings(PERIOD_S, on[:springs], off[:springs]).power(0.1)
     for i in range(springs):
@@ -103,7 +103,7 @@ def test_action_runs_from_start_to_end_of_the_period():
 
 @settings(deadline=None)
 @given(st.lists(st.floats(-1, 1, width=32), min_size=1, max_size=6).map(lambda v: v + v[::-1]))
-def test_action_comes_back_from_its_timings(values):
+def test_action_round_trips_through_timings(values):
     action = np.array(values, dtype=np.float32)
     back = GaitTimings.from_action(action, PERIOD_S).to_action()
     assert back.dtype == np.float32
@@ -111,7 +111,7 @@ def test_action_comes_back_from_its_timings(values):
     np.testing.assert_allclose(back, action, rtol=0, atol=1e-7)
 
 
-def test_action_comes_back_for_many_robots():
+def test_actions_of_many_robots_round_trip():
     action = np.linspace(-1, 1, 24, dtype=np.float32).reshape(2, 12)
     timings = GaitTimings.from_action(action, PERIOD_S)
     assert timings.on_s.shape == (2, 6)
@@ -120,13 +120,13 @@ def test_action_comes_back_for_many_robots():
 
 @pytest.mark.parametrize("bad", [-0.001, 3.001, np.nan, np.inf])
 @pytest.mark.parametrize("name", ["on_s", "off_s"])
-def test_times_outside_the_period_are_refused(name, bad):
+def test_times_outside_the_period_are_rejected(name, bad):
     times = {"on_s": [0.0, 1.0], "off_s": [1.0, 2.0], name: [0.5, bad]}
     with pytest.raises(TimingError, match=rf"{name} must lie in \[0, 3\] s"):
         GaitTimings(PERIOD_S, **times)
 
 
-def test_differing_shapes_are_told():
+def test_different_shapes_are_rejected():
     with pytest.raises(TimingError, match=r"\(2,\) and \(3,\)"):
         GaitTimings(PERIOD_S, [0, 0], [0, 0, 0])
     with pytest.raises(TimingError, match="the same shape"):
@@ -139,12 +139,12 @@ def test_period_must_be_positive(period_s):
         GaitTimings(period_s, [0.0], [0.0])
 
 
-def test_nan_action_is_refused():
+def test_nan_action_is_rejected():
     with pytest.raises(TimingError, match="nan"):
         GaitTimings.from_action(np.array([0.0, np.nan]), PERIOD_S)
 
 
-def test_timings_keep_their_own_read_only_times():
+def test_timings_copy_their_times_and_make_them_read_only():
     on = np.array([0.5])
     timings = GaitTimings(PERIOD_S, on, [1.0])
     on[0] = 2.0
@@ -153,17 +153,17 @@ def test_timings_keep_their_own_read_only_times():
         timings.on_s[0] = 1.0
 
 
-def test_period_must_be_a_whole_number_of_steps():
+def test_period_must_be_a_multiple_of_the_step():
     with pytest.raises(TimingError, match=r"the gait period of 1 s must be a whole multiple of 0\.3 s"):
         shares(0.0, 0.5, step_s=0.3)
 
 
-def test_whole_counts_despite_rounding():
+def test_count_steps_tolerates_rounding_errors():
     assert count_steps(0.3, 0.1, "it") == 3  # 0.1 * 3 is not 0.3
     assert count_steps(30.0, 0.01, "it") == 3000
 
 
 @pytest.mark.parametrize(("duration_s", "step_s"), [(0.05, 0.1), (0.0, 0.1), (-0.1, 0.1), (0.25, 0.1)])
-def test_whole_refuses_none_and_fractions(duration_s, step_s):
+def test_count_steps_rejects_zero_and_fractional_counts(duration_s, step_s):
     with pytest.raises(TimingError, match="whole multiple"):
         count_steps(duration_s, step_s, "it")

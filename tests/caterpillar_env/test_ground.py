@@ -13,7 +13,7 @@ WEIGHT_N = 4 * 0.008 * 9.81
 
 
 def turned(angle_rad):
-    """A rotation about y, row by row."""
+    """Return the row-major matrix of a rotation about y."""
     cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([cosine, 0, sine, 0, 1, 0, -sine, 0, cosine])
 
@@ -27,7 +27,7 @@ def test_lowest_point_of_a_tilted_ellipsoid(angle_rad, reach_m):
     assert low == pytest.approx(5.0 - reach_m)
 
 
-def test_feet_and_shells_touch_the_ground_and_nothing_else_does():
+def test_only_feet_and_shells_touch_the_ground():
     model = build_model(Morphology(), Physics())
     names = [model.geom(int(i)).name for i in touching_geoms(model)]
     assert sorted(names) == sorted(
@@ -38,7 +38,7 @@ def test_feet_and_shells_touch_the_ground_and_nothing_else_does():
     assert (half_axes_m(model)[feet] == 0.002).all()
 
 
-def test_straight_robot_stands_on_its_feet_and_they_bear_its_weight():
+def test_feet_bear_the_weight_of_a_straight_robot():
     model = build_model(Morphology(), Physics())
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, nstep=1000)

@@ -34,7 +34,7 @@ def test_quota_is_the_limit_of_the_control_group(tmp_path, own, files, cores):
 
 
 @pytest.mark.parametrize(("quota", "cores"), [(None, 3), (8.0, 3), (1.5, 2), (0.2, 1)])
-def test_cores_are_those_of_the_affinity_within_the_quota(monkeypatch, quota, cores):
+def test_cores_are_limited_by_affinity_and_quota(monkeypatch, quota, cores):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {1, 5, 7})
     monkeypatch.setattr(machine, "quota", lambda: quota)
     assert machine.cores() == cores

@@ -26,7 +26,7 @@ BODY = Morphology(
 
 
 def built(morphology=BODY, **physics):
-    """A model and its data at the start."""
+    """Return a model and its data at the start."""
     model = build_model(morphology, Physics(**physics))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -112,7 +112,7 @@ def test_joints_are_listed_in_the_order_of_the_model():
     assert joint_names(2) == ["axial0", "bend0", "neck0", "axial1", "bend1"]
 
 
-def test_hinges_turn_as_far_as_the_joint_limit():
+def test_hinge_range_is_the_joint_limit():
     model, _ = built()
     for name in joint_names(4):
         limit = 0.15 * 0.026 if name.startswith("axial") else 0.35
@@ -129,7 +129,7 @@ def test_hinges_stiffen_towards_their_limit():
     assert square[0] == 0  # the same to both sides
 
 
-def test_joint_stops_are_hard_whatever_the_ground_is():
+def test_joint_stops_are_hard_for_any_ground():
     model, _ = built(contact_time_constant_s=0.05, stop_time_constant_s=0.003)
     assert (model.jnt_solref[1:, 0] == 0.003).all()
     assert (model.geom_solref[model.geom_conaffinity > 0, 0] == 0.05).all()
@@ -152,7 +152,7 @@ def test_inertia_is_that_of_a_solid_ellipsoid():
 
 
 @pytest.mark.parametrize(("axis", "direction"), [("yaw", [0, 0, 1]), ("pitch", [0, 1, 0])])
-def test_bend_axis_is_a_choice_and_necks_pitch(axis, direction):
+def test_bend_axis_is_selectable_and_necks_pitch(axis, direction):
     model, _ = built(bend_axis=axis)
     assert model.joint("bend1").axis.tolist() == direction
     assert model.joint("neck1").axis.tolist() == [0, 1, 0]
@@ -160,7 +160,7 @@ def test_bend_axis_is_a_choice_and_necks_pitch(axis, direction):
 
 @pytest.mark.parametrize("joint", ["neck1", "bend1", "axial1"])
 def test_joint_deflects_by_load_over_stiffness(joint):
-    """Static deflection in free space, with springs that do not pull."""
+    """Check static deflection in free space, without spring forces."""
     model, data = built(spring_strengths=[1e-9] * 12, neck_stiffening=0.0)
     model.opt.gravity[:] = 0
     data.qpos[2] = 1.0
@@ -182,7 +182,7 @@ def test_cold_springs_compress_the_body_just_to_its_length():
 # Motion
 
 
-def test_centre_of_mass_falls_freely_whatever_the_springs_do():
+def test_springs_do_not_affect_free_fall():
     model, data = built(timestep_s=2e-4)
     data.qpos[2], data.ctrl[:] = 1.0, np.linspace(0, 1, 12)
     mujoco.mj_forward(model, data)
@@ -222,7 +222,7 @@ def test_hot_springs_bend_their_own_gap_towards_their_side(height, sign):
     assert max(abs(necks[0]), abs(necks[2])) < 0.02
 
 
-def test_spring_on_one_side_turns_that_way():
+def test_spring_on_one_side_turns_the_robot_to_that_side():
     model, data = built(mismatch_std=0.0)
     model.opt.gravity[:] = 0
     data.qpos[2] = 1.0
@@ -247,7 +247,7 @@ def test_fallen_body_lies_on_the_ground(face):
 # Springs
 
 
-def test_springs_carry_the_names_of_the_gait():
+def test_springs_have_the_names_of_the_gait():
     model, _ = built(num_segments=3)
     assert [model.actuator(i).name for i in range(model.nu)] == spring_names(3)
     assert [model.tendon(i).name for i in range(model.nu)] == spring_names(3)
@@ -276,7 +276,7 @@ def test_springs_run_between_their_anchors():
     ],
     ids=["default", "slack", "capped"],
 )
-def test_actuators_pull_as_the_two_state_spring(spring):
+def test_actuator_force_is_that_of_the_two_state_spring(spring):
     model, data = built(spring=spring)
     strengths = Physics().strengths()
     rng = np.random.default_rng(0)
@@ -295,7 +295,7 @@ def test_actuators_pull_as_the_two_state_spring(spring):
 # A body for every segment
 
 
-def test_segments_that_are_alike_make_the_model_of_one_morphology():
+def test_identical_segments_give_the_model_of_one_morphology():
     one, _ = built(BODY)
     four, _ = built((BODY,) * 4)
     for name in ("body_pos", "body_mass", "body_inertia", "geom_size", "geom_pos", "jnt_pos",
@@ -303,7 +303,7 @@ def test_segments_that_are_alike_make_the_model_of_one_morphology():
         np.testing.assert_array_equal(getattr(one, name), getattr(four, name))
 
 
-def test_every_segment_is_built_after_its_own_morphology():
+def test_every_segment_uses_its_own_morphology():
     rng = np.random.default_rng(4)
     body = tuple(Morphology.from_unit(unit) for unit in rng.random((3, 8)))
     model, data = built(body, num_segments=3)
@@ -330,7 +330,7 @@ def test_every_segment_is_built_after_its_own_morphology():
         assert front[2] == pytest.approx(2 * ahead.segment_radius_m + ahead.attachment_y_m)
 
 
-def test_unlike_segments_keep_their_length_when_cold():
+def test_different_segments_keep_their_length_when_cold():
     # The pre-tension of the springs, worth 1.5 mm, is taken up by the neutral point; springs that run
     # askew bend the body a little.
     rng = np.random.default_rng(4)
@@ -342,13 +342,13 @@ def test_unlike_segments_keep_their_length_when_cold():
 
 
 @pytest.mark.parametrize("count", [0, 3, 5])
-def test_body_of_another_number_of_segments_is_refused(count):
+def test_wrong_number_of_segments_is_rejected(count):
     with pytest.raises(MorphologyError, match=f"or a tuple of 4; got {count}"):
         built((BODY,) * count)
 
 
 @pytest.mark.parametrize("scenery", [True, False])
-def test_a_builder_that_has_built_others_builds_the_very_same_model(scenery):
+def test_reused_builder_gives_the_same_model(scenery):
     rng = np.random.default_rng(6)
     physics = Physics()
     used = ModelBuilder(physics, scenery=scenery)
@@ -365,12 +365,12 @@ def test_a_builder_that_has_built_others_builds_the_very_same_model(scenery):
 
 # MJCF
 
-#: What the XML has otherwise: the ruler's picture, and zeros that `trim_tendons` leaves out.
+#: Expected differences of the XML: the ruler's texture, and zeros that `trim_tendons` removes.
 _OTHERWISE = {"tex_data", "tex_width", "tex_height", "mat_texrepeat", "ten_J_rownnz", "ten_J_colind"}
 
 
 def arrays(part):
-    """Numbers and arrays of a model or of a part of it by name."""
+    """Return the numbers and arrays of a model, or of a part of it, by name."""
     names = (name for name in dir(part) if not name.startswith("_"))
     values = {name: getattr(part, name) for name in names}
     return {n: v for n, v in values.items() if isinstance(v, (np.ndarray, int, float))}
@@ -409,7 +409,7 @@ def test_xml_has_the_scenery():
     assert (read.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE).sum() == 8  # legs
 
 
-def test_xml_moves_as_the_model_does():
+def test_xml_and_model_move_identically():
     model = build_model(BODY, Physics())
     read = mujoco.MjModel.from_xml_string(model_xml(BODY, Physics()))
     ends = []

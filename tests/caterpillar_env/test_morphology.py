@@ -15,7 +15,7 @@ def with_value(name, value):
     return {**Morphology().to_dict(), name: value}
 
 
-def test_fields_and_parameters_have_one_order():
+def test_fields_and_parameters_have_the_same_order():
     assert tuple(f.name for f in dataclasses.fields(Morphology)) == NAMES
     assert tuple(p.symbol for p in PARAMETERS) == ("w", "L", "R", "m", "q", "x", "y", "z")
 
@@ -24,7 +24,7 @@ def test_nominal_body_is_the_documented_one():
     assert Morphology().to_array().tolist() == [0.016, 0.030, 0.012, 0.008, 0.6, 0.003, 0.0065, 0.006]
 
 
-def test_bounds_themselves_are_allowed():
+def test_bounds_are_valid_values():
     assert Morphology.of(LOWER).to_array().tolist() == LOWER.tolist()
     assert Morphology.of(UPPER).to_array().tolist() == UPPER.tolist()
 
@@ -47,12 +47,12 @@ def test_error_names_field_value_interval_and_unit(parameter, kind):
     assert f"[{parameter.lower:g}, {parameter.upper:g}] {parameter.unit} " in message
 
 
-def test_mapping_is_a_change_of_the_nominal_body():
+def test_mapping_changes_the_nominal_body():
     assert Morphology.of({"segment_length_m": 0.033}) == Morphology(segment_length_m=0.033)
     assert Morphology.of({}) == Morphology()
 
 
-def test_unknown_name_is_refused_with_the_known_ones():
+def test_unknown_name_error_lists_the_known_names():
     with pytest.raises(MorphologyError, match=r"no length_m; .*segment_length_m"):
         Morphology.of({"length_m": 0.03})
     with pytest.raises(MorphologyError, match="no colour"):
@@ -62,7 +62,7 @@ def test_unknown_name_is_refused_with_the_known_ones():
 @pytest.mark.parametrize(
     "value", [[0.01] * 7, np.full((1, 8), 0.01), 3, None, "nominal", [[1], [2, 3]]], ids=repr
 )
-def test_wrong_shape_says_what_is_needed_and_what_came(value):
+def test_wrong_shape_error_states_expected_and_given(value):
     with pytest.raises(MorphologyError, match="a mapping or 8 numbers") as caught:
         Morphology.of(value)
     assert repr(value) in str(caught.value)
@@ -73,7 +73,7 @@ def test_error_is_a_value_error():
         Morphology(joint_limit_rad=2)
 
 
-def test_numpy_and_whole_numbers_become_floats():
+def test_numpy_numbers_and_integers_become_floats():
     body = Morphology(joint_limit_rad=1, segment_mass_kg=np.float32(0.008))
     assert type(body.joint_limit_rad) is float
     assert type(body.segment_mass_kg) is float
@@ -86,14 +86,14 @@ def test_of_returns_a_morphology_unchanged():
 
 @settings(deadline=None)
 @given(UNITS)
-def test_every_unit_point_is_a_body_and_comes_back(unit):
+def test_every_unit_point_is_a_body_and_round_trips(unit):
     body = Morphology.from_unit(unit)
     np.testing.assert_allclose(body.to_unit(), unit, atol=1e-12)
     assert Morphology.of(body.to_array()) == body
     assert Morphology.of(body.to_dict()) == body
 
 
-def test_bounds_cannot_be_written():
+def test_bounds_are_read_only():
     with pytest.raises(ValueError, match="read-only"):
         LOWER[0] = 0.0
     with pytest.raises(dataclasses.FrozenInstanceError):

@@ -15,7 +15,7 @@ def crawl(rows=1, thresholds=None, stop_on_failure=True):
 
 
 def sense(robots, morphology, clock_s):
-    """What all of them see, their bodies put at `morphology`."""
+    """Return the observations of all robots, with bodies at `morphology`."""
     state, progress = robots.simulation.state(), robots.progress()
     bodies = np.full((len(state.com_m), 8), morphology)
     return observe(robots.physics, state, progress.heading_rad, bodies, clock_s)
@@ -37,7 +37,7 @@ def test_every_entry_of_an_observation_is_named_once(segments, clock):
     assert len(set(names)) == len(names)
 
 
-def test_senses_carry_their_documented_scales():
+def test_entries_have_their_documented_scales():
     robots = crawl()
     power = off(1, 5)
     power[:, :, 0] = 1.0
@@ -72,8 +72,8 @@ def test_senses_carry_their_documented_scales():
 
 
 @pytest.mark.parametrize("heading_rad", [math.pi / 3, -2.5])
-def test_progress_and_senses_do_not_depend_on_the_compass(heading_rad):
-    """The same motion relative to the start gives the same account, whatever the starting heading."""
+def test_progress_and_observation_do_not_depend_on_the_starting_heading(heading_rad):
+    """The same motion relative to the start gives the same progress for any starting heading."""
     rng = np.random.default_rng(0)
     joints, rates = rng.normal(0, 0.003, 11), rng.normal(0, 0.3, 17)
     drift, turn = np.array([0.02, 0.01, 0.003]), 0.3

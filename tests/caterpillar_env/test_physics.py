@@ -17,7 +17,7 @@ def test_strengths_spread_about_one_and_follow_the_seed():
     assert Physics(num_segments=64, mismatch_std=5.0).strengths().min() == 0.1
 
 
-def test_measured_strengths_take_the_place_of_drawn_ones():
+def test_given_strengths_replace_random_strengths():
     measured = [0.9, 1.0, 1.1, 1.2]
     physics = Physics(num_segments=2, spring_strengths=measured, mismatch_seed=3)
     assert physics.strengths().tolist() == measured
@@ -27,7 +27,7 @@ def test_measured_strengths_take_the_place_of_drawn_ones():
             Physics(num_segments=2, spring_strengths=unusable)
 
 
-def test_physics_comes_back_from_json():
+def test_physics_round_trips_through_json():
     physics = Physics(num_segments=3, spring=SmaSpring(ambient_c=20.0), bend_axis="pitch")
     assert Physics.of(json.loads(json.dumps(physics.to_dict()))) == physics
 
@@ -61,6 +61,6 @@ def test_partial_mappings_keep_the_other_defaults():
     ],
     ids=lambda v: v if isinstance(v, str) else "",
 )
-def test_unusable_physics_is_refused_with_the_reason(value, message):
+def test_invalid_physics_is_rejected_with_the_reason(value, message):
     with pytest.raises(PhysicsError, match=message):
         Physics.of(value)

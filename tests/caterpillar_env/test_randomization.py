@@ -1,4 +1,4 @@
-"""Conditions drawn at reset: within their ranges, seeded, told, and with the effect they should have."""
+"""Conditions sampled at reset: ranges, seeding, info entries and effects."""
 
 import gymnasium
 import mujoco
@@ -36,7 +36,7 @@ def arrays(model):
 # What a varied robot is
 
 
-def test_a_heavier_robot_is_one_that_was_built_heavier():
+def test_mass_factor_equals_a_heavier_body():
     body = Morphology()
     light = build_model(body, P, scenery=False)
     heavy = build_model(Morphology(segment_mass_kg=1.25 * body.segment_mass_kg), P, scenery=False)
@@ -45,7 +45,7 @@ def test_a_heavier_robot_is_one_that_was_built_heavier():
         np.testing.assert_allclose(getattr(made, name), value, rtol=1e-12, atol=1e-15, err_msg=name)
 
 
-def test_stronger_springs_and_slippery_ground_are_those_of_other_physics():
+def test_spring_and_friction_factors_equal_different_physics():
     other = Physics(num_segments=2, timestep_s=0.01, friction=0.3, spring_strengths=(1.5,) * 4)
     expected = build_model(Morphology(), other, scenery=False)
     made = apply_conditions(
@@ -56,7 +56,7 @@ def test_stronger_springs_and_slippery_ground_are_those_of_other_physics():
         np.testing.assert_allclose(getattr(made, name), value, rtol=1e-12, atol=1e-15, err_msg=name)
 
 
-def test_the_robot_itself_is_left_as_it_was():
+def test_original_model_is_not_changed():
     model = build_model(Morphology(), P, scenery=False)
     before = {name: value.copy() for name, value in arrays(model).items()}
     apply_conditions(model, P, conditions(mass=2.0, friction=0.1, strengths=(2.0,) * 4))
@@ -64,7 +64,7 @@ def test_the_robot_itself_is_left_as_it_was():
         np.testing.assert_array_equal(getattr(model, name), value, err_msg=name)
 
 
-def test_springs_in_colder_air_need_longer_to_warm_up():
+def test_springs_heat_more_slowly_in_colder_air():
     simulation = Simulation([Morphology()] * 3, P, 1)
     met = [conditions(ambient_c=c) for c in (5.0, P.spring.ambient_c, 45.0)]
     simulation.reset(conditions=met)
@@ -77,7 +77,7 @@ def test_springs_in_colder_air_need_longer_to_warm_up():
     np.testing.assert_allclose(simulation.state().temperature_c.T, [[5.0, 25.0, 45.0]] * 4, atol=0.01)
 
 
-def test_nominal_conditions_change_not_one_bit():
+def test_nominal_conditions_do_not_change_the_result():
     plain, met = (Simulation([Morphology()], P, 1) for _ in range(2))
     met.reset(conditions=[conditions()])
     power = np.zeros((1, 300, 4))
@@ -87,7 +87,7 @@ def test_nominal_conditions_change_not_one_bit():
     np.testing.assert_array_equal(plain.qpos(0), met.qpos(0))
 
 
-def test_a_robot_without_conditions_forgets_those_of_the_last_episode():
+def test_reset_without_conditions_restores_those_of_physics():
     simulation, fresh = (Simulation([Morphology()], P, 1) for _ in range(2))
     simulation.reset(conditions=[conditions(friction=0.1, ambient_c=40.0, mass=1.3)])
     for one in (simulation, fresh):
@@ -96,33 +96,33 @@ def test_a_robot_without_conditions_forgets_those_of_the_last_episode():
     np.testing.assert_array_equal(simulation.qpos(0), fresh.qpos(0))
 
 
-# What is drawn
+# Sampling
 
 
-def test_draws_fill_their_ranges():
+def test_samples_fill_their_ranges():
     rng, randomization = np.random.default_rng(0), Randomization(**RANGES)
-    drawn = [randomization.draw(P, rng) for _ in range(400)]
+    samples = [randomization.draw(P, rng) for _ in range(400)]
     for name in ("friction", "mass", "ambient_c"):
         low, high = RANGES[name]
-        values = np.array([getattr(c, name) for c in drawn])
+        values = np.array([getattr(c, name) for c in samples])
         assert low <= values.min() < low + 0.02 * (high - low)
         assert high - 0.02 * (high - low) < values.max() <= high
-    strengths = np.array([c.strengths for c in drawn])
+    strengths = np.array([c.strengths for c in samples])
     assert strengths.mean() == pytest.approx(1.0, abs=0.02)
     assert strengths.std() == pytest.approx(np.sqrt(0.2**2 / 3 + 0.4**2 / 12), rel=0.1)
     # Whoever meets with little friction is no lighter, colder or weaker for it.
     together = np.corrcoef(
-        [(c.friction, c.mass, c.ambient_c, np.mean(c.strengths)) for c in drawn], rowvar=False
+        [(c.friction, c.mass, c.ambient_c, np.mean(c.strengths)) for c in samples], rowvar=False
     )
     assert np.abs(together - np.eye(4)).max() < 0.2
 
 
-def test_what_is_not_randomised_stays_as_in_the_physics():
-    drawn = Randomization(friction=(0.4, 1.2)).draw(P, np.random.default_rng(0))
-    assert drawn == conditions(friction=drawn.friction)
+def test_conditions_without_a_range_keep_the_values_of_physics():
+    samples = Randomization(friction=(0.4, 1.2)).draw(P, np.random.default_rng(0))
+    assert samples == conditions(friction=samples.friction)
 
 
-def test_one_range_does_not_change_the_draws_of_another():
+def test_adding_a_range_does_not_change_the_other_samples():
     few = Randomization(mass=(0.9, 1.1)).draw(P, np.random.default_rng(3))
     many = Randomization(**RANGES).draw(P, np.random.default_rng(3))
     assert few.mass == many.mass
@@ -140,12 +140,12 @@ def test_one_range_does_not_change_the_draws_of_another():
     ],
     ids=str,
 )
-def test_unusable_ranges_are_refused(ranges, message):
+def test_invalid_ranges_are_rejected(ranges, message):
     with pytest.raises(PhysicsError, match=message):
         Randomization.of(ranges)
 
 
-def test_air_in_which_springs_never_cool_is_refused():
+def test_air_too_warm_for_cooling_is_rejected():
     with pytest.raises(PhysicsError, match=r"must end below 56 degC.*\(20.0, 60.0\)"):
         gymnasium.make("CaterpillarSMA-v0", randomization={"ambient_c": (20, 60)})
 
@@ -155,45 +155,45 @@ def test_air_in_which_springs_never_cool_is_refused():
 SMALL = {"physics": {"num_segments": 2, "timestep_s": 0.01}}
 
 
-def test_nothing_is_told_where_nothing_is_randomised():
+def test_info_has_no_conditions_without_randomization():
     env = gymnasium.make("CaterpillarSMASwitch-v0", **SMALL)
     assert "friction" not in env.reset(seed=0)[1]
     assert "friction" not in env.step(np.zeros(4, dtype=np.int8))[4]
 
 
-def test_rows_draw_as_single_environments_do_and_crawl_alike():
+def test_rows_sample_and_crawl_like_single_environments():
     vector = gymnasium.make_vec(
         "CaterpillarSMASwitch-v0", num_envs=3, threads=1, randomization=RANGES, frame_skip=5, **SMALL
     )
     single = gymnasium.make(
         "CaterpillarSMASwitch-v0", randomization=RANGES, frame_skip=5, disable_env_checker=True, **SMALL
     )
-    many, told = vector.reset(seed=7)
+    many, info = vector.reset(seed=7)
     one, alone = single.reset(seed=8)
-    assert len(set(told["friction"])) == len(set(told["ambient_c"])) == len(set(told["mass"])) == 3
+    assert len(set(info["friction"])) == len(set(info["ambient_c"])) == len(set(info["mass"])) == 3
     actions = np.zeros((3, 4), dtype=np.int8)
     actions[:, 0] = 1
     for _ in range(6):
-        many, _, _, _, told = vector.step(actions)
+        many, _, _, _, info = vector.step(actions)
         one, _, _, _, alone = single.step(actions[1])
     np.testing.assert_array_equal(many[1], one)
     for name in ("friction", "mass", "ambient_c", "spring_strengths"):
-        assert told[name][1] == alone[name]
+        assert info[name][1] == alone[name]
     assert len(alone["spring_strengths"]) == 4
 
 
-def test_every_episode_draws_anew_and_a_seed_draws_again():
+def test_every_episode_samples_anew_and_a_seed_reproduces_samples():
     env = gymnasium.make("CaterpillarSMA-v0", randomization={"friction": (0.2, 1.0)}, **SMALL)
     first, second = env.reset(seed=1)[1]["friction"], env.reset()[1]["friction"]
     assert first != second
     assert env.reset(seed=1)[1]["friction"] == first
 
 
-def test_models_in_use_are_those_that_were_drawn():
+def test_models_have_the_sampled_conditions():
     vector = gymnasium.make_vec(
         "CaterpillarSMA-v0", num_envs=2, threads=1, randomization={"friction": (0.2, 1.0)}, **SMALL
     )
-    _, told = vector.reset(seed=0)
+    _, info = vector.reset(seed=0)
     models = vector.unwrapped.crawl.simulation.models
     assert all(isinstance(m, mujoco.MjModel) for m in models)
-    assert [m.geom_friction[-1, 0] for m in models] == list(told["friction"])
+    assert [m.geom_friction[-1, 0] for m in models] == list(info["friction"])

@@ -1,4 +1,4 @@
-"""One robot as JSON: what is written is read back and crawls alike."""
+"""Robots written as JSON and read back."""
 
 import errno
 import json
@@ -29,7 +29,7 @@ def individual():
 
 
 def changed(individual, path, value):
-    """The individual's JSON with one value replaced, or left out where it is `...`."""
+    """Return the JSON of the robot with one value replaced, or removed if it is `...`."""
     data = json.loads(json.dumps(individual.to_dict()))
     *way, last = path
     place = data
@@ -42,7 +42,7 @@ def changed(individual, path, value):
     return data
 
 
-def test_file_gives_back_every_bit(individual, tmp_path):
+def test_robot_round_trips_exactly_through_its_file(individual, tmp_path):
     individual.save(tmp_path / "robot.json")
     again = Robot.load(tmp_path / "robot.json")
     assert again.morphology == individual.morphology
@@ -53,7 +53,7 @@ def test_file_gives_back_every_bit(individual, tmp_path):
     assert again.timings.off_s.tolist() == individual.timings.off_s.tolist()
 
 
-def test_full_disk_leaves_the_robot_that_was_there(individual, tmp_path, monkeypatch):
+def test_failed_save_keeps_the_existing_file(individual, tmp_path, monkeypatch):
     individual.save(tmp_path / "best.json")
 
     def stop_midway(path, text, **_):
@@ -66,7 +66,7 @@ def test_full_disk_leaves_the_robot_that_was_there(individual, tmp_path, monkeyp
     assert Robot.load(tmp_path).fitness_m == 0.0123
 
 
-def test_a_run_folder_stands_for_its_best_robot(individual, tmp_path):
+def test_run_folder_loads_its_best_robot(individual, tmp_path):
     individual.save(tmp_path / "best.json")
     assert Robot.load(tmp_path).to_dict() == individual.to_dict()
 
@@ -84,7 +84,7 @@ def test_json_names_units_and_pairs(individual):
     assert data["physics"]["spring"]["drive_current_a"] == SHORT.spring.drive_current_a
 
 
-def test_loaded_robot_crawls_as_its_genome_did(individual, tmp_path):
+def test_loaded_robot_crawls_like_its_genome(individual, tmp_path):
     individual.save(tmp_path / "best.json")
     again = Robot.load(tmp_path).simulate(threads=1)
     ours = evaluate(GENOME[None], Encoding(SHORT, PERIOD_S), threads=1)
@@ -93,7 +93,7 @@ def test_loaded_robot_crawls_as_its_genome_did(individual, tmp_path):
 
 
 @pytest.mark.parametrize(("kind", "size"), [("full", 16), ("per-segment", 20)])
-def test_robots_of_other_genomes_come_back_too(tmp_path, kind, size):
+def test_robots_of_every_encoding_round_trip(tmp_path, kind, size):
     genome = np.random.default_rng(2).random(size)
     Encoding(SHORT, PERIOD_S, kind).robot(genome).save(tmp_path / "best.json")
     again = Robot.load(tmp_path).simulate(threads=1)
@@ -102,8 +102,8 @@ def test_robots_of_other_genomes_come_back_too(tmp_path, kind, size):
 
 
 def test_json_names_segments_and_springs():
-    whole = Encoding(SHORT, PERIOD_S, "full").robot(np.full(16, 0.3)).to_dict()
-    assert list(whole["gait"]["springs"])[:2] == ["gap1_dorsal_left", "gap1_dorsal_right"]
+    data = Encoding(SHORT, PERIOD_S, "full").robot(np.full(16, 0.3)).to_dict()
+    assert list(data["gait"]["springs"])[:2] == ["gap1_dorsal_left", "gap1_dorsal_right"]
     parts = Encoding(SHORT, PERIOD_S, "per-segment").robot(np.full(20, 0.3)).to_dict()
     assert len(parts["morphology"]) == 2
     del parts["morphology"][1]
@@ -111,7 +111,7 @@ def test_json_names_segments_and_springs():
         Robot.from_dict(parts)
 
 
-def test_another_timestep_is_another_simulation_of_the_same_robot(individual):
+def test_different_timestep_simulates_the_same_robot(individual):
     own = individual.simulate(threads=1, duration_s=2.0)
     same = individual.simulate(SHORT.timestep_s, threads=1, duration_s=2.0)
     finer = individual.simulate(SHORT.timestep_s / 2, threads=1, duration_s=2.0)
@@ -121,7 +121,7 @@ def test_another_timestep_is_another_simulation_of_the_same_robot(individual):
     assert individual.physics.timestep_s == SHORT.timestep_s
 
 
-def test_timestep_that_does_not_fit_is_refused(individual):
+def test_timestep_that_does_not_divide_the_thermal_step_is_rejected(individual):
     for timestep_s in (0.003, 0.0, -0.005, np.nan):
         with pytest.raises(CaterpillarError, match="timestep_s"):
             individual.simulate(timestep_s)
@@ -133,7 +133,7 @@ def test_record_is_optional(individual):
 
 
 @pytest.mark.parametrize("data", [None, [], "robot", 3, {}, {"format": "caterpillar-individual-0"}])
-def test_other_json_is_refused(data):
+def test_json_without_a_robot_is_rejected(data):
     with pytest.raises(RobotError, match=FORMAT):
         Robot.from_dict(data)
 
@@ -173,14 +173,14 @@ def test_other_json_is_refused(data):
     ],
     ids=str,
 )
-def test_garbled_individual_is_refused_with_the_files_name(individual, tmp_path, path, value):
+def test_error_of_an_invalid_robot_names_the_file(individual, tmp_path, path, value):
     file = tmp_path / "robot.json"
     file.write_text(json.dumps(changed(individual, path, value)))
     with pytest.raises(RobotError, match=r"robot\.json"):
         Robot.load(file)
 
 
-def test_times_in_lists_are_refused(individual, tmp_path):
+def test_times_in_lists_are_rejected(individual, tmp_path):
     listed = {"on_s": [0.0], "off_s": [1.0]}
     data = changed(individual, ["gait", "pairs"], {"gap1_dorsal": listed, "gap1_ventral": listed})
     with pytest.raises(RobotError):
@@ -197,19 +197,19 @@ def test_error_of_a_long_robot_is_one_line():
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe\x00", b"[1,"])
-def test_file_that_is_no_json_is_refused(tmp_path, content):
+def test_file_that_is_not_json_is_rejected(tmp_path, content):
     (tmp_path / "robot.json").write_bytes(content)
     with pytest.raises(RobotError, match="is not JSON"):
         Robot.load(tmp_path / "robot.json")
 
 
-def test_missing_file_and_empty_folder_are_refused(tmp_path):
+def test_missing_file_and_empty_folder_are_rejected(tmp_path):
     for path, message in ((tmp_path / "none.json", "cannot read"), (tmp_path, "holds no best.json")):
         with pytest.raises(RobotError, match=message):
             Robot.load(path)
 
 
-def test_individual_of_genome_has_one_gait(individual):
+def test_robot_of_a_genome_has_one_gait(individual):
     assert individual.timings.on_s.shape == (2,)
     assert isinstance(individual.timings, GaitTimings)
 
@@ -219,7 +219,7 @@ def test_every_failure_has_a_label():
     assert [label(f) for f in Failure] == labels
 
 
-def test_robot_is_loaded_from_a_text_path(tmp_path):
+def test_path_may_be_a_string(tmp_path):
     timings = GaitTimings(5.0, np.zeros(6), np.ones(6))
     robot = Robot(Morphology(), timings, Physics(), 0.1, generation=2, evaluation=41)
     robot.save(str(tmp_path / "best.json"))

@@ -21,7 +21,7 @@ def advance(simulation, power, rows=None, **kwargs):
 
 
 def now(simulation):
-    """MuJoCo's data of the first row, with everything derived from its present state."""
+    """Return MuJoCo data of the first row with all derived fields up to date."""
     data = mujoco.MjData(simulation.models[0])
     data.qpos[:], data.qvel[:] = simulation.engine.qpos[0], simulation.engine.qvel[0]
     mujoco.mj_forward(simulation.models[0], data)
@@ -29,7 +29,7 @@ def now(simulation):
 
 
 def some_power(rows, steps, seed=0):
-    """On and off in pieces of 0.1 s, so that springs are hot, cold and in between."""
+    """Return random on-off power in intervals of 0.1 s, for springs of many temperatures."""
     pieces = np.random.default_rng(seed).random((rows, -(-steps // 10), 12)) < 0.6
     return np.repeat(pieces, 10, axis=1)[:, :steps].astype(float)
 
@@ -47,7 +47,7 @@ def test_start_is_straight_at_rest_and_cold():
     assert state.time_s.tolist() == [0]
 
 
-def test_robot_without_power_stays_where_it_is():
+def test_robot_without_power_does_not_move():
     simulation = started([Morphology()])
     advance(simulation, np.zeros((1, 200, 12)))
     settled = simulation.state().com_m
@@ -70,7 +70,7 @@ def test_energy_is_that_of_the_driven_springs():
     assert simulation.energy_j[0] == pytest.approx(watt * (3 * 0.3 + 0.5 * 0.2))
 
 
-def test_springs_are_heated_as_without_a_body():
+def test_spring_temperatures_do_not_depend_on_the_body():
     simulation = started([SMALL, LARGE])
     power = some_power(2, 60)
     advance(simulation, power)
@@ -84,7 +84,7 @@ def fields_of(simulation):
     return list(vars(simulation.state()).values())
 
 
-def test_springs_at_the_cut_off_draw_what_they_lose():
+def test_power_at_the_cut_off_equals_the_heat_loss():
     simulation = started([SMALL], num_segments=2)
     advance(simulation, np.ones((1, 800, 4)))  # hot by then
     before_j = simulation.energy_j[0]
@@ -95,7 +95,7 @@ def test_springs_at_the_cut_off_draw_what_they_lose():
     assert simulation.energy_j[0] - before_j == pytest.approx(4 * loss_w, rel=1e-6)
 
 
-def test_row_does_not_depend_on_its_place_or_neighbours():
+def test_row_does_not_depend_on_its_index_or_the_other_rows():
     power = some_power(1, 80)
     alone = started([SMALL])
     advance(alone, power)
@@ -106,18 +106,18 @@ def test_row_does_not_depend_on_its_place_or_neighbours():
     np.testing.assert_array_equal(alone.qpos(0), crowd.qpos(2))
 
 
-def test_pieces_add_up_to_the_whole():
+def test_many_short_calls_equal_one_long_call():
     power = some_power(1, 60)
-    whole, pieces = started([SMALL]), started([SMALL])
-    advance(whole, power)
+    single, pieces = started([SMALL]), started([SMALL])
+    advance(single, power)
     for first in range(0, 60, 20):
         advance(pieces, power[:, first : first + 20])
-    np.testing.assert_array_equal(whole.qpos(0), pieces.qpos(0))
-    assert whole.state().time_s == pieces.state().time_s
-    assert whole.energy_j[0] == pytest.approx(pieces.energy_j[0], rel=1e-12)
+    np.testing.assert_array_equal(single.qpos(0), pieces.qpos(0))
+    assert single.state().time_s == pieces.state().time_s
+    assert single.energy_j[0] == pytest.approx(pieces.energy_j[0], rel=1e-12)
 
 
-def test_advancing_some_rows_leaves_the_others():
+def test_advancing_some_rows_does_not_change_the_others():
     simulation = started([SMALL, SMALL, SMALL])
     advance(simulation, some_power(1, 20), np.array([1]))
     still = simulation.state(np.array([0, 2]))
@@ -127,7 +127,7 @@ def test_advancing_some_rows_leaves_the_others():
     assert simulation.simulated_s == pytest.approx(0.2)
 
 
-def test_reset_row_repeats_its_run_and_others_go_on():
+def test_reset_row_repeats_its_run_and_others_continue():
     power = some_power(2, 40)
     simulation = started([SMALL, LARGE])
     advance(simulation, power)
@@ -140,7 +140,7 @@ def test_reset_row_repeats_its_run_and_others_go_on():
     np.testing.assert_array_equal(simulation.qpos(0), first)
 
 
-def test_reset_exchanges_the_body():
+def test_reset_replaces_the_body():
     simulation = started([SMALL, SMALL])
     simulation.reset([LARGE], np.array([1]))
     assert simulation.bodies == [SMALL, LARGE]
@@ -151,7 +151,7 @@ def test_reset_exchanges_the_body():
     np.testing.assert_array_equal(simulation.qpos(1), fresh.qpos(1))
 
 
-def test_robots_can_be_placed_at_rest_in_another_pose():
+def test_robots_can_be_placed_at_rest_in_a_given_pose():
     simulation = started([SMALL, LARGE])
     advance(simulation, some_power(2, 20))
     other, pose = simulation.qpos(1), simulation.qpos(0)
@@ -180,7 +180,7 @@ def test_velocity_is_the_mean_of_the_elements():
     np.testing.assert_allclose(simulation.state().velocity[0], expected, atol=1e-9)
 
 
-def test_derived_state_is_one_physics_step_old_and_joints_are_not():
+def test_derived_state_is_one_physics_step_older_than_the_joints():
     simulation = started([SMALL])
     advance(simulation, some_power(1, 40))
     state, data = simulation.state(), now(simulation)
@@ -188,14 +188,14 @@ def test_derived_state_is_one_physics_step_old_and_joints_are_not():
     np.testing.assert_array_equal(state.joint_velocity[0], data.qvel[6:])
     moved_m = data.subtree_com[1] - state.com_m[0]
     assert moved_m.any()
-    # The centre of mass is carried on by the velocity of the step that followed.
+    # The centre of mass moves with the velocity of the next step.
     simulation.place(data.qpos[None], qvel=data.qvel[None])
     mass = simulation.models[0].body_mass[1:]
     assert np.ptp(mass) == 0  # so that the mean of the elements is that of the mass
     np.testing.assert_allclose(moved_m, simulation.state().velocity[0, :3] * 0.0025, atol=2e-6)
 
 
-def test_clearance_is_that_of_the_lowest_point():
+def test_clearance_is_the_height_of_the_lowest_point():
     simulation = started([SMALL, LARGE, LARGE])
     qpos = np.stack([simulation.qpos(row) for row in range(3)])
     qpos[:, 2] += 0.1
@@ -235,7 +235,7 @@ def test_trace_holds_every_thermal_step():
     np.testing.assert_array_equal(trace.energy_j[:, -1], simulation.energy_j)
     np.testing.assert_array_equal(untraced.energy_j, simulation.energy_j)
     assert (np.diff(trace.energy_j, axis=1) >= 0).all()
-    further = advance(simulation, power, trace=True)  # it goes on from what was drawn so far
+    further = advance(simulation, power, trace=True)  # continues from the previous energy
     np.testing.assert_array_equal(further.energy_j[:, -1], simulation.energy_j)
     assert (further.energy_j[:, 0] >= trace.energy_j[:, -1]).all()
     untraced.reset([SMALL, LARGE])
@@ -245,7 +245,7 @@ def test_trace_holds_every_thermal_step():
     np.testing.assert_array_equal(trace.temperature_c[:, 9], untraced.state().temperature_c)
 
 
-def test_physics_steps_finer_than_thermal_ones_see_the_same_heat():
+def test_temperatures_do_not_depend_on_the_physics_timestep():
     coarse, fine = started([SMALL], timestep_s=0.01), started([SMALL], timestep_s=0.0025)
     power = some_power(1, 50)
     advance(coarse, power)
@@ -266,20 +266,20 @@ def test_actuators_get_the_mean_fraction_of_each_physics_step():
     np.testing.assert_allclose(heating.control[0, 1::2], 0.25 * before + 0.75 * after)
 
 
-def test_heated_steps_are_made_piece_by_piece_by_those_who_go_on():
-    simulation, whole = started([SMALL, LARGE]), started([SMALL, LARGE])
+def test_some_of_the_heated_robots_can_advance_further_than_others():
+    simulation, single = started([SMALL, LARGE]), started([SMALL, LARGE])
     power = some_power(2, 30)
     heating = simulation.heat(power)
     simulation.advance(heating, last=10)
     simulation.advance(heating, np.array([1]), 10, 30)
-    advance(whole, power)
+    advance(single, power)
     assert simulation.state().time_s.tolist() == pytest.approx([0.1, 0.3])
-    np.testing.assert_array_equal(simulation.qpos(1), whole.qpos(1))
-    assert simulation.energy_j[1] == pytest.approx(whole.energy_j[1], rel=1e-12)
-    np.testing.assert_array_equal(simulation.state().fraction[1], whole.state().fraction[1])
+    np.testing.assert_array_equal(simulation.qpos(1), single.qpos(1))
+    assert simulation.energy_j[1] == pytest.approx(single.energy_j[1], rel=1e-12)
+    np.testing.assert_array_equal(simulation.state().fraction[1], single.state().fraction[1])
 
 
-def test_diverged_row_is_told_and_leaves_the_others(tmp_path, monkeypatch):
+def test_diverged_row_is_reported_and_does_not_affect_the_others(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo logs its warning in the working directory
     power = some_power(2, 30)
     simulation, healthy = started([SMALL, LARGE]), started([SMALL, LARGE])
@@ -298,7 +298,7 @@ def test_diverged_row_is_told_and_leaves_the_others(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("shape", [(1, 10, 12), (2, 10, 11), (2, 12)], ids=str)
-def test_wrong_shape_of_power_is_told(shape):
+def test_wrong_power_shape_is_an_error(shape):
     with pytest.raises(SimulationError, match=r"\(2, steps, 12\)") as caught:
         started([SMALL, SMALL]).heat(np.zeros(shape))
     assert str(shape) in str(caught.value)
@@ -310,7 +310,7 @@ def test_every_row_needs_a_body():
 
 
 @pytest.mark.parametrize(("rows", "threads"), [(0, 1), (1, -1)])
-def test_sizes_must_make_sense(rows, threads):
+def test_invalid_sizes_are_rejected(rows, threads):
     with pytest.raises(SimulationError, match=f"got {rows} bodies and {threads} threads"):
         Simulation([SMALL] * rows, Physics(), threads)
 

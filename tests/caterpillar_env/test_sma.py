@@ -1,4 +1,4 @@
-"""Springs against closed forms; every reference value is computed here from the wire's data."""
+"""Comparison of springs with closed-form results, computed here from the data of the wire."""
 
 import dataclasses
 import math
@@ -23,7 +23,7 @@ LOSS_W_M_K = 110 * 0.7 * math.pi * 0.15e-3
 
 
 def powered(spring, share, seconds, state=None, step_s=STEP_S):
-    """One spring under constant power."""
+    """Return the steps of one spring under constant power."""
     state = SmaState.cold(spring, (1,)) if state is None else state
     return advance(spring, state, np.full((round(seconds / step_s), 1), float(share)), step_s)
 
@@ -67,13 +67,13 @@ def test_partial_power_heats_by_its_share():
     assert half == pytest.approx(full / 2)
 
 
-def test_least_current_that_reaches_austenite_finish():
-    least_a = math.sqrt(LOSS_W_M_K * (78 - 25) / OHM_M)
-    for current_a, whole in ((0.995 * least_a, False), (1.005 * least_a, True)):
+def test_minimum_current_that_reaches_austenite_finish():
+    minimum_a = math.sqrt(LOSS_W_M_K * (78 - 25) / OHM_M)
+    for current_a, reached in ((0.995 * minimum_a, False), (1.005 * minimum_a, True)):
         spring = SmaSpring(drive_current_a=current_a)
         fraction = powered(spring, 1, 60.0, step_s=0.05).state.fraction[0]
         assert fraction > 0.9
-        assert bool(fraction == 1.0) is whole
+        assert bool(fraction == 1.0) is reached
 
 
 def test_adiabatic_pulse_takes_sensible_and_latent_heat():
@@ -85,7 +85,7 @@ def test_adiabatic_pulse_takes_sensible_and_latent_heat():
     assert done.fraction[-2, 0] < 1
 
 
-def test_transforming_takes_no_heat_without_latent_heat():
+def test_transformation_without_latent_heat_needs_no_heat():
     spring = SmaSpring(convection_w_m2_k=1e-9, latent_heat_j_kg=0)
     pulse_s = MASS_KG_M * 500 * (78 - 25) / (0.35**2 * OHM_M)
     assert temperature(spring, powered(spring, 1, pulse_s, step_s=pulse_s / 50).state) == pytest.approx(
@@ -109,7 +109,7 @@ def test_energy_supplied_is_stored_or_lost():
     assert supplied == pytest.approx(stored + lost, rel=1e-4)
 
 
-def test_steps_of_ten_milliseconds_are_fine_enough():
+def test_steps_of_ten_milliseconds_are_accurate():
     pattern = [1.0, 0.0, 1.0, 0.0]
     coarse = advance(NITI, SmaState.cold(NITI, (1,)), np.repeat(pattern, 100)[:, None], 0.01)
     fine = advance(NITI, SmaState.cold(NITI, (1,)), np.repeat(pattern, 4000)[:, None], 0.00025)
@@ -130,7 +130,7 @@ def test_cut_off_is_an_ideal_thermostat():
     assert temperature(spring, cooling.state) < 100
 
 
-def test_spring_beyond_the_cut_off_is_not_powered():
+def test_spring_above_the_cut_off_gets_no_power():
     hot = SmaState.at(NITI, np.array([150.0]), np.ones(1))
     done = powered(NITI, 1, 0.1, hot)
     tau = 6450 * 500 * 0.15e-3 / (4 * 110 * 0.7)
@@ -163,14 +163,14 @@ def test_springs_are_independent_of_their_neighbours():
         np.testing.assert_array_equal(together.fraction[:, row], alone.fraction)
 
 
-def test_without_current_nothing_is_drawn_or_heated():
+def test_without_current_no_power_is_used():
     spring = SmaSpring(drive_current_a=0.0)
     done = powered(spring, 1, 1.0)
     assert not done.power.any()
     assert temperature(spring, done.state) == 25
 
 
-def test_path_ends_in_the_state():
+def test_final_state_is_the_last_step():
     done = powered(NITI, 1, 1.0)
     np.testing.assert_array_equal(done.fraction[-1], done.state.fraction)
     np.testing.assert_array_equal(done.enthalpy_j_kg[-1], done.state.enthalpy_j_kg)
@@ -178,7 +178,7 @@ def test_path_ends_in_the_state():
     np.testing.assert_array_equal(done.enthalpy_j_kg[:50], half.enthalpy_j_kg)
 
 
-def test_state_given_to_advance_is_left_alone():
+def test_advance_does_not_change_the_given_state():
     state = SmaState.cold(NITI, (1,))
     powered(NITI, 1, 1.0, state)
     assert state.enthalpy_j_kg[0] == 500 * 25
@@ -213,7 +213,7 @@ def test_branch_midpoints_are_half_austenite_when_driven_there():
 
 
 def half_transformed():
-    """Heated to between As and Af, on the heating branch."""
+    """Return a spring heated to between As and Af, on the heating branch."""
     state = SmaState.cold(NITI, (1,))
     while state.fraction[0] < 0.5:
         state = powered(NITI, 1, STEP_S, state).state
@@ -234,7 +234,7 @@ def test_reversal_freezes_the_fraction_until_the_other_branch():
     )
 
 
-def test_reversal_on_cooling_freezes_too():
+def test_reversal_on_cooling_freezes_the_fraction():
     hot = SmaState.at(NITI, np.array([90.0]), np.ones(1))
     start = powered(NITI, 0, 2.2, hot).state
     assert 0.2 < start.fraction[0] < 0.8
@@ -243,8 +243,8 @@ def test_reversal_on_cooling_freezes_too():
     assert (heated.fraction == start.fraction[0]).all()
 
 
-def test_minor_loop_returns_to_the_point_it_left():
-    """Return-point memory: after a detour the state runs on as if there had been none."""
+def test_minor_loop_returns_to_its_starting_point():
+    """Return-point memory: after a minor loop, the state continues as without the loop."""
     start = half_transformed()
     state = powered(NITI, 0, 0.8, start).state
     assert state.fraction[0] < start.fraction[0] - 0.05  # a detour along the cooling branch
@@ -303,7 +303,7 @@ def test_stroke_under_a_load():
     ],
     ids=str,
 )
-def test_loops_that_cannot_be_are_refused(changes):
+def test_invalid_hysteresis_loops_are_rejected(changes):
     with pytest.raises(PhysicsError, match="ambient < Mf < Ms < Af < cut-off and Mf < As < Af"):
         SmaSpring(**changes)
 

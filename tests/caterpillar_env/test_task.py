@@ -12,7 +12,7 @@ JUMP_AT_ONCE = Thresholds(jumped_clearance_m=-1.0)  # everything is "clear of th
 
 
 def seen(up_z=1.0, clearance_m=0.0):
-    """A robot as `judge` sees it."""
+    """Return the arguments of `judge` for one robot."""
     nothing = np.zeros((1, 3))
     return Pose(
         time_s=np.zeros(1),
@@ -84,7 +84,7 @@ def test_failures_begin_at_their_thresholds(what, failure):
     assert judged(**what) is failure
 
 
-def test_graver_failure_is_told_first():
+def test_more_severe_failure_takes_precedence():
     everything = {"up_z": -1.0, "clearance_m": 1.0, "lateral_m": 1.0, "diverged": True}
     assert judged(**everything) is Failure.DIVERGED
     assert judged(**everything | {"diverged": False}) is Failure.FLIPPED
@@ -93,9 +93,9 @@ def test_graver_failure_is_told_first():
     assert judged(lateral_m=1.0, body_load=1.0) is Failure.VEERED
 
 
-def test_robot_sags_once_its_body_has_carried_it_for_a_twentieth_of_the_episode():
-    # A robot on its back is carried by its body alone. Without the verdict flipped, it may lie there
-    # for 5 % of 30 s.
+def test_robot_sags_after_its_body_has_carried_it_for_5_percent_of_the_episode():
+    # A robot on its back is carried by its body only. With FLIPPED disabled, it may lie there for 5 %
+    # of 30 s.
     robots = crawl(thresholds=Thresholds(flipped_up=-2.0, tipped_up=-2.0))
     pose(robots, 0, [0, 1, 0, 0], 0.012)
     robots.run(off(intervals=14))
@@ -106,7 +106,7 @@ def test_robot_sags_once_its_body_has_carried_it_for_a_twentieth_of_the_episode(
     assert robots.progress().time_s[0] == pytest.approx(1.6, abs=0.11)
 
 
-def test_labels_are_the_words_of_the_paper_and_ours():
+def test_labels_are_lower_case_names():
     labels = ["ok", "diverged", "flipped", "tipped", "jumped", "veered", "sagged"]
     assert [failure.label for failure in Failure] == labels
 
@@ -126,14 +126,14 @@ HALF = math.sqrt(0.5)
     ],
     ids=["back", "side", "head", "air", "turned", "start"],
 )
-def test_robot_in_that_pose_fails_so(quaternion, height_m, failure):
+def test_pose_determines_the_failure(quaternion, height_m, failure):
     robots = crawl(2)
     pose(robots, 1, quaternion, height_m)
     robots.run(off(2))
     assert robots.progress().failure.tolist() == [Failure.NONE, failure]
 
 
-def test_diverged_robot_is_told_and_leaves_the_others(tmp_path, monkeypatch):
+def test_diverged_robot_is_reported_and_does_not_affect_the_others(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo logs its warning in the working directory
     robots, healthy = crawl(2, stop_on_failure=False), crawl(2)
     robots.simulation.place(np.full((1, 18), np.nan), np.array([0]))
@@ -153,10 +153,10 @@ def test_a_divergence_replaces_an_earlier_failure(tmp_path, monkeypatch):
     robots.simulation.place(np.full((1, 18), np.nan), np.array([0]))
     robots.run(off(1, 3))
     assert robots.failure.tolist() == [Failure.DIVERGED]
-    assert robots.progress().time_s.tolist() == [0.2]  # it stops, whatever stop_on_failure says
+    assert robots.progress().time_s.tolist() == [0.2]  # a diverged robot stops in any case
 
 
-# Account
+# Progress
 
 
 def test_failed_robot_stops_at_the_end_of_its_interval():
@@ -174,7 +174,7 @@ def test_failed_robot_stops_at_the_end_of_its_interval():
     assert robots.progress().energy_j[0] == progress.energy_j[0]
 
 
-def test_account_counts_only_steps_really_made():
+def test_progress_counts_only_simulated_steps():
     robots = crawl(3)
     pose(robots, 0, [0, 1, 0, 0], 0.012)
     robots.run(off(3, 4))
@@ -183,14 +183,14 @@ def test_account_counts_only_steps_really_made():
     assert robots.simulation.simulated_s == pytest.approx(0.9)
 
 
-def test_nothing_is_called_once_all_have_failed():
+def test_on_interval_is_not_called_after_all_have_failed():
     robots = crawl(2, JUMP_AT_ONCE)
     calls = []
     robots.run(off(2, 5), on_interval=calls.append)
     assert len(calls) == 1
 
 
-def test_robots_go_on_after_a_failure_when_told_to():
+def test_robots_continue_after_a_failure_without_stop_on_failure():
     robots = crawl(1, JUMP_AT_ONCE, stop_on_failure=False)
     robots.run(off(1, 5))
     assert robots.progress().time_s[0] == 0.5
@@ -200,7 +200,7 @@ def test_robots_go_on_after_a_failure_when_told_to():
     assert robots.failure.tolist() == [Failure.JUMPED]  # the first one stays
 
 
-def test_reset_clears_the_failure_and_the_account():
+def test_reset_clears_failure_and_progress():
     robots = crawl(2)
     pose(robots, 0, [0, 1, 0, 0], 0.012)
     robots.run(gait(2, 3))
@@ -225,7 +225,7 @@ def test_reset_applies_heading_and_offset():
     assert state.com_m[1, 1] == pytest.approx(-0.0525, abs=0.003)  # the body trails behind the head
 
 
-def test_run_gives_the_traces_of_each_interval():
+def test_run_passes_the_trace_of_each_interval():
     robots, traces = crawl(2), []
     robots.run(gait(2, 3), on_interval=traces.append)
     assert [t.qpos.shape for t in traces] == [(2, 10, 18)] * 3
@@ -244,7 +244,7 @@ def test_progress_measures_left_as_positive():
     assert progress.lateral_m[0] == pytest.approx(0.03, abs=1e-3)
 
 
-def test_each_robot_may_have_its_own_number_of_intervals():
+def test_each_robot_can_have_its_own_number_of_intervals():
     robots, calls = crawl(3), []
     robots.run(gait(3, 4), on_interval=calls.append, intervals=np.array([4, 0, 2]))
     assert robots.progress().time_s.tolist() == [0.4, 0.0, 0.2]
@@ -255,7 +255,7 @@ def test_each_robot_may_have_its_own_number_of_intervals():
 
 
 @pytest.mark.parametrize("shape", [(1, 15, 12), (2, 10, 12), (10, 12), (1, 10, 11)], ids=str)
-def test_wrong_shape_of_power_is_told(shape):
+def test_wrong_power_shape_is_an_error(shape):
     with pytest.raises(SimulationError, match="power must have shape") as caught:
         crawl().run(np.zeros(shape))
     assert str(shape) in str(caught.value)

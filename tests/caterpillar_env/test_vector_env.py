@@ -17,7 +17,7 @@ BODIES = [
 
 
 def switch_envs(rows=ROWS, **kwargs):
-    """Rows at the start of episodes of 1 s, in steps of 0.5 s: an episode is two steps."""
+    """Return rows at the start of episodes of two steps of 0.5 s."""
     kwargs = {"action_mode": "switch", "frame_skip": 5, "episode_s": 1.0, "threads": 1, **kwargs}
     envs = CaterpillarVectorEnv(rows, **kwargs)
     envs.reset(seed=0)
@@ -38,7 +38,7 @@ def times(envs):
 
 
 def overturn(envs, row):
-    """Put a robot on its back, so that it fails within the next step."""
+    """Put a robot on its back. It then fails within the next step."""
     simulation = envs.crawl.simulation
     qpos = simulation.qpos(row)
     qpos[2:7] = [simulation.bodies[row].segment_radius_m, 0, 1, 0, 0]
@@ -80,7 +80,7 @@ def test_list_of_seeds_seeds_each_row():
     np.testing.assert_array_equal(envs.reset(seed=[7, 8, 5])[0][2], first[1])
 
 
-def test_unseeded_reset_draws_on():
+def test_unseeded_reset_continues_the_random_sequence():
     envs = switch_envs(reset_noise_scale=0.02)
     first, _ = envs.reset(seed=4)
     second, _ = envs.reset()
@@ -108,16 +108,16 @@ def test_each_row_has_its_own_body(kind):
 @pytest.mark.parametrize(
     "one", [BODIES[0], BODIES[0].to_dict(), BODIES[0].to_array().tolist()], ids=type
 )
-def test_one_body_serves_all_rows(one):
+def test_one_body_applies_to_all_rows(one):
     assert CaterpillarVectorEnv(ROWS, morphology=one).morphologies == [BODIES[0]] * ROWS
 
 
-def test_new_bodies_stay_through_resets():
+def test_new_bodies_persist_through_resets():
     envs = switch_envs()
     envs.reset(options={"morphology": BODIES})
     envs.step(off())
     envs.step(off())
-    envs.step(off())  # every row starts anew
+    envs.step(off())  # all rows reset
     assert times(envs) == [0, 0, 0]
     assert envs.morphologies == BODIES
     envs.reset()
@@ -135,7 +135,7 @@ def test_masked_reset_changes_the_bodies_of_its_rows_only():
 # Ends of episodes
 
 
-def test_next_step_mode_starts_anew_in_the_step_after_the_last():
+def test_next_step_mode_resets_in_the_following_step():
     envs = switch_envs()
     assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     start, _ = envs.reset(seed=0)
@@ -168,7 +168,7 @@ def test_next_step_mode_restarts_only_the_row_that_ended():
     assert info["failure"].tolist() == ["ok"] * 3
 
 
-def test_same_step_mode_gives_the_end_and_the_new_start():
+def test_same_step_mode_returns_the_final_and_the_new_observation():
     envs = switch_envs(autoreset_mode=AutoresetMode.SAME_STEP, episode_s=10.0)
     other = switch_envs(autoreset_mode=AutoresetMode.DISABLED, episode_s=10.0)
     start, _ = envs.reset(seed=0)
@@ -224,19 +224,19 @@ def test_masked_reset_seeds_only_its_rows():
     envs.reset(seed=20)
     again, _ = envs.reset(seed=20, options={"reset_mask": np.array([True, False, False])})
     np.testing.assert_array_equal(again, start)
-    drawn, _ = envs.reset()
+    unseeded, _ = envs.reset()
     np.testing.assert_array_equal(envs.reset(seed=20)[0], start)
-    np.testing.assert_array_equal(envs.reset()[0], drawn)
+    np.testing.assert_array_equal(envs.reset()[0], unseeded)
 
 
 def test_step_limit_truncates():
     envs = switch_envs(episode_s=10.0, max_episode_steps=2)
     ends = [envs.step(off())[3].tolist() for _ in range(5)]
     no, yes = [False] * ROWS, [True] * ROWS
-    assert ends == [no, yes, no, no, yes]  # the third one starts anew
+    assert ends == [no, yes, no, no, yes]  # the third step is a reset
 
 
-def test_failure_in_the_last_step_is_no_truncation():
+def test_failure_in_the_last_step_is_not_a_truncation():
     envs = switch_envs(max_episode_steps=1)
     overturn(envs, 0)
     _, _, terminated, truncated, _ = envs.step(off())
@@ -244,8 +244,8 @@ def test_failure_in_the_last_step_is_no_truncation():
     assert truncated.tolist() == [False, True, True]
 
 
-def test_shorter_last_step_is_that_of_its_row_alone():
-    """Rows out of step with one another end their episodes at the same length."""
+def test_shorter_last_step_affects_only_its_row():
+    """Episodes that start at different steps have the same length."""
     envs = switch_envs(2, frame_skip=4, autoreset_mode="Disabled")  # steps of 0.4, 0.4 and 0.2 s
     envs.step(off(2))
     envs.reset(options={"reset_mask": np.array([False, True])})
@@ -258,7 +258,7 @@ def test_shorter_last_step_is_that_of_its_row_alone():
 # Data
 
 
-def test_spaces_are_batches_of_the_single_ones():
+def test_spaces_are_batches_of_the_single_spaces():
     envs = CaterpillarVectorEnv(ROWS)
     assert envs.action_space.shape == (ROWS, *envs.single_action_space.shape)
     observation, _ = envs.reset(seed=0)
@@ -283,7 +283,7 @@ def test_types_and_shapes_of_a_step():
         assert info[f"_{key}"].all()
 
 
-def test_returned_arrays_are_never_written_again():
+def test_returned_arrays_are_not_modified_later():
     envs = switch_envs()
     given = [envs.reset(seed=0)[0]] + [envs.step(some_actions(envs))[0] for _ in range(4)]
     kept = [g.copy() for g in given]
@@ -294,7 +294,7 @@ def test_returned_arrays_are_never_written_again():
         np.testing.assert_array_equal(array, copy)
 
 
-def test_threads_do_not_change_a_bit():
+def test_number_of_threads_does_not_change_results():
     results = []
     for threads in (1, 2):
         envs = switch_envs(morphology=BODIES, threads=threads)
@@ -316,21 +316,21 @@ def test_threads_do_not_change_a_bit():
     ],
     ids=["rows", "flat", "short", "nan", "half"],
 )
-def test_unusable_actions_are_refused_and_nothing_moves(actions, message):
+def test_invalid_actions_are_rejected_without_a_step(actions, message):
     envs = switch_envs()
     with pytest.raises(CaterpillarError, match=message):
         envs.step(actions)
     assert times(envs) == [0, 0, 0]
 
 
-def test_nan_timing_is_refused():
+def test_nan_timing_is_rejected():
     envs = CaterpillarVectorEnv(2, gait_period_s=1.0)
     envs.reset(seed=0)
     with pytest.raises(TimingError, match="must be finite"):
         envs.step(np.array([[0.0] * 12, [0.0] * 11 + [math.nan]]))
 
 
-def test_step_needs_a_reset():
+def test_step_before_reset_is_an_error():
     with pytest.raises(SimulationError, match=r"call reset\(\) before step\(\)"):
         CaterpillarVectorEnv(2).step(np.zeros((2, 12)))
 
@@ -340,35 +340,35 @@ def test_step_needs_a_reset():
     [np.zeros(ROWS, bool), np.ones(2, bool), np.array([1, 0, 1]), [True], "all"],
     ids=["none", "short", "numbers", "list", "text"],
 )
-def test_unusable_mask_is_told(mask):
+def test_invalid_mask_is_an_error(mask):
     with pytest.raises(SimulationError, match=r"reset_mask must be a bool array of shape \(3,\)"):
         switch_envs().reset(options={"reset_mask": mask})
 
 
-def test_unknown_option_is_told_with_the_known_ones():
+def test_unknown_option_error_lists_the_known_options():
     with pytest.raises(CaterpillarError, match=r"morphology, reset_mask; got \['mask'\]"):
         switch_envs().reset(options={"mask": None})
 
 
-def test_seeds_must_be_as_many_as_rows():
+def test_number_of_seeds_must_equal_number_of_rows():
     with pytest.raises(SimulationError, match=r"3 of them; got \[1, 2\]"):
         switch_envs().reset(seed=[1, 2])
 
 
 @pytest.mark.parametrize("bodies", [BODIES[:2], np.zeros((2, 8)), [], np.zeros((1, 3, 8))], ids=type)
-def test_bodies_must_be_as_many_as_rows(bodies):
+def test_number_of_bodies_must_equal_number_of_rows(bodies):
     with pytest.raises(MorphologyError, match=r"3 bodies, or an array of shape \(3, 8\)"):
         CaterpillarVectorEnv(ROWS, morphology=bodies)
 
 
-def test_faulty_body_of_a_list_is_told():
+def test_invalid_body_in_a_list_is_an_error():
     bodies = np.stack([b.to_array() for b in BODIES])
     bodies[1, 4] = 3.0
     with pytest.raises(MorphologyError, match=r"joint_limit_rad = 3\.0 must be in"):
         CaterpillarVectorEnv(ROWS, morphology=bodies)
 
 
-def test_unusable_modes_are_refused():
+def test_invalid_modes_are_rejected():
     with pytest.raises(SimulationError, match=r'render_mode .* must be None or "rgb_array"'):
         CaterpillarVectorEnv(2, render_mode="human")
     with pytest.raises(ValueError, match="sometimes"):
@@ -377,6 +377,6 @@ def test_unusable_modes_are_refused():
         CaterpillarVectorEnv(0)
 
 
-def test_a_number_is_no_body():
+def test_a_number_is_not_a_body():
     with pytest.raises(MorphologyError, match="a morphology must be a mapping or 8 numbers"):
         CaterpillarVectorEnv(2, morphology=3)
