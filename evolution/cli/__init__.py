@@ -1,8 +1,8 @@
 """The `caterpillar` command: it finds a subcommand, runs it, and reports errors in one line.
 
-Subcommands are entry points of the group `caterpillar.commands`: functions that take the remaining
-arguments and return an exit status. Other packages can add their own. The first line of a function's
-docstring is its summary in `caterpillar --help`.
+Each subcommand is an entry point of the group `caterpillar.commands`: a function that takes the
+remaining arguments and returns an exit status. Other packages can add their own. The first line of the
+function's docstring is its summary in `caterpillar --help`.
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ from caterpillar_env.errors import CaterpillarError
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
+    from rich.table import Table
 
 T = TypeVar("T")
 Command = Callable[[list[str]], int]
-Commands = Mapping[str, Callable[[], Command]]  #: a command's name to a function that loads it
+Commands = Mapping[str, Callable[[], Command]]  #: functions that load the commands, by name
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run `caterpillar` and return its exit status, see `dispatch`."""
+    """Run `caterpillar` and return its exit status (see `dispatch`)."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["--version"]:
         print(version("caterpillar-sma"))
@@ -36,12 +37,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def dispatch(commands: Commands, arguments: Sequence[str], prog: str = "caterpillar") -> int:
-    """Run the command that the first argument names, with the other arguments.
+    """Run the command that the first argument names, and pass it the other arguments.
 
     Args:
-        commands: loaders of the commands; only the one that runs is loaded, and all of them for help.
-        arguments: the command's name and its arguments.
-        prog: program name in messages, such as "caterpillar rl".
+        commands: functions that load the commands, by name. Help loads all of them.
+        arguments: name and arguments of the command.
+        prog: program name for messages, such as "caterpillar rl".
 
     Returns:
         The exit status: 0, 1 (an error), 2 (wrong usage) or 130 (interrupted).
@@ -73,13 +74,13 @@ def parse(kind: type[T], argv: Sequence[str], command: str, default: T | None = 
     """Make a dataclass from command-line flags.
 
     Args:
-        kind: the dataclass; its fields are the flags, their docstrings the help.
-        argv: the arguments of the command.
-        command: the command's name in messages, such as "evolve" or "rl train".
-        default: values of the flags that are not given, where the dataclass has other defaults.
+        kind: the dataclass. Its fields become flags, and the docstrings of the fields become help texts.
+        argv: arguments of the command.
+        command: name of the command for messages, such as "evolve" or "rl train".
+        default: values of flags that are not given; None uses the defaults of the dataclass.
 
     Raises:
-        SystemExit: with status 0 after `--help`, and 2 after wrong usage has been reported.
+        SystemExit: with status 0 after `--help`, and with status 2 after reporting wrong usage.
     """
     import tyro
 
@@ -101,7 +102,7 @@ def parse(kind: type[T], argv: Sequence[str], command: str, default: T | None = 
 
 
 def _find_own_error(stop: SystemExit) -> CaterpillarError | None:
-    """The error of a dataclass that rejected its values; None if the parser found the problem."""
+    """Return the error of a dataclass that rejected its values, or None if the parser failed."""
     error: BaseException | None = stop
     while error is not None and not isinstance(error, CaterpillarError):
         error = error.__context__
@@ -111,15 +112,10 @@ def _find_own_error(stop: SystemExit) -> CaterpillarError | None:
 def _overview(commands: Commands, prog: str) -> str:
     width = max(map(len, commands), default=0)
     lines = [f"  {name:<{width}}  {_summary(load)}" for name, load in commands.items()]
-    return "\n".join(
-        [
-            f"usage: {prog} COMMAND [OPTIONS]",
-            "",
-            "commands:",
-            *lines,
-            "",
-            f"Run {prog} COMMAND --help for the options of a command.",
-        ]
+    return (
+        f"usage: {prog} COMMAND [OPTIONS]\n\ncommands:\n"
+        + "\n".join(lines)
+        + f"\n\nRun {prog} COMMAND --help for the options of a command."
     )
 
 
@@ -132,17 +128,24 @@ def _summary(load: Callable[[], Command]) -> str:
 
 
 def console() -> Console:
-    """A console on stderr for progress and messages; it takes text literally and does not wrap it."""
+    """Return a console on stderr for progress and messages. It prints text literally, unwrapped."""
     from rich.console import Console
 
     return Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
 
 
 def bar(console: Console) -> Progress:
-    """A progress bar with percentage and time left; shown on a terminal only."""
+    """Return a progress bar with percentage and time left. It is shown on terminals only."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     return Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.0f} %, time left"),
         TimeRemainingColumn(), console=console, disable=not console.is_terminal,
     )  # fmt: skip
+
+
+def print_table(table: Table, width: int = 150) -> None:
+    """Print a table on stdout: as wide as the terminal, or with `width` characters in a file or pipe."""
+    from rich.console import Console
+
+    Console(width=None if sys.stdout.isatty() else width, markup=False).print(table)

@@ -41,7 +41,7 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class DoctorArgs:
-    """Check what is installed, whether drawing works, and how fast this machine simulates robots.
+    """Check the installed packages, drawing, and the simulation speed of this machine.
 
     The exit status is 1 if something that every run needs does not work. Drawing is optional: only
     videos and rendering need it.
@@ -86,7 +86,7 @@ def check_packages() -> Iterator[Finding]:
 
 
 def check_requirements(extra: str, requirements: Sequence[Requirement]) -> Finding:
-    """Check the requirements of an extra, or those of the package itself: "", which is not optional."""
+    """Check the requirements of an extra, or those of the package itself if `extra` is empty."""
     found, problems = [], []
     for requirement in requirements:
         try:
@@ -105,7 +105,7 @@ def check_requirements(extra: str, requirements: Sequence[Requirement]) -> Findi
 
 
 def check_isolated(name: str, function: str, otherwise: Status) -> Finding:
-    """Call a function of this module in a process of its own; its result is what was found."""
+    """Call a function of this module in a separate process, and report its result or its failure."""
     code = f"from evolution.cli import doctor; print(doctor.{function}())"
     try:
         process = subprocess.run(
@@ -124,28 +124,28 @@ def check_isolated(name: str, function: str, otherwise: Status) -> Finding:
 
 
 def draw_frame() -> str:
-    """Draw the robot off-screen."""
+    """Draw the robot off-screen, and return the backend that drew it."""
     from caterpillar_env import CaterpillarEnv
     from caterpillar_env.drawing.backend import choose_backend
 
     env = CaterpillarEnv(render_mode="rgb_array")
     env.reset(seed=0)
-    picture = env.render()
+    frame = env.render()
     env.close()
-    if picture is None or picture.std() < 1:
+    if frame is None or frame.std() < 1:
         raise CaterpillarError("the frame is empty")
     return f"{choose_backend()} drew a frame"
 
 
 def find_ffmpeg() -> str:
-    """Find the program that encodes videos."""
+    """Return the version of the program that encodes videos."""
     import imageio_ffmpeg
 
     return str(imageio_ffmpeg.get_ffmpeg_version())
 
 
 def measure_speed() -> str:
-    """Simulate some robots of the paper's first generation for 10 s each."""
+    """Measure the speed with 50 robots of the paper's first generation, for 10 s each."""
     from caterpillar_env.robot import simulate
     from caterpillar_env.task import EPISODE_S
     from evolution.config import RunConfig

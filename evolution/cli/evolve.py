@@ -23,12 +23,12 @@ PRESETS = {
 
 @dataclass(frozen=True)
 class EvolveArgs:
-    """Evolve body and gait. Without options: the paper's run, 200 genomes for 50 generations."""
+    """Evolve body and gait. The defaults are those of the paper: 200 genomes, 50 generations."""
 
     preset: Literal["paper", "quick"] = "paper"
-    """Defaults of the other options. quick: 20 genomes, 6 generations; a minute on two cores."""
+    """Defaults of the other options. quick takes a minute on two cores: 20 genomes, 6 generations."""
     out: Path | None = None
-    """Run folder to create; by default a new one under runs/."""
+    """Run folder to create; by default, a new folder under runs/."""
     workers: WorkerArgs = field(default_factory=WorkerArgs)
     config: RunConfig = field(default_factory=RunConfig)
 

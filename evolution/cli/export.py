@@ -26,15 +26,15 @@ class ExportArgs:
     """Export the evaluations of a run as a table, or a robot as a MuJoCo model.
 
     A table (csv, parquet, json) has one row per evaluation, with all genes in SI units. A model (mjcf)
-    is the XML of one robot: of the best robot of a run, or of the robot in a JSON file.
+    is the XML of one robot: the best robot of a run, or the robot in a JSON file.
     """
 
     source: Annotated[Path, tyro.conf.Positional]
-    """The run folder or, for mjcf, the JSON file of one robot (best.json)."""
+    """Run folder. For mjcf, it can also be the JSON file of a robot (best.json)."""
     to: Format | None = None
-    """Format; by default that of the file name of --out, or csv."""
+    """Format; by default, the format that the suffix of --out names, or csv."""
     out: Path | None = None
-    """File to write; by default evaluations.csv, .parquet or .json, or best.xml, in the run folder."""
+    """File to write; by default, evaluations.csv, .parquet or .json, or best.xml, in the run folder."""
 
     def __post_init__(self) -> None:
         named = _SUFFIXES.get(self.out.suffix) if self.out else None
@@ -43,7 +43,7 @@ class ExportArgs:
         object.__setattr__(self, "to", self.to or named or "csv")
         if self.to != "mjcf" and self.source.is_file():
             raise CaterpillarError(
-                f"a table needs a run folder, and {self.source} is a file: give the folder, or --to "
+                f"a table needs a run folder, but {self.source} is a file: give the folder, or use --to "
                 "mjcf to export the robot in the file"
             )
 

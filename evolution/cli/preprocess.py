@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
 from caterpillar_env.files import writing
@@ -22,22 +21,22 @@ from evolution.priors.preprocessor import GenePrior, design_parameters, paper_pr
 
 @dataclass(frozen=True)
 class PreprocessArgs:
-    """Print Table I of the paper, the mutation distribution of each gene, and plot the densities."""
+    """Print Table I of the paper: the mutation distribution of each gene. Plot the densities."""
 
     json: bool = False
     """Print JSON instead of a table, with values in SI units."""
     out: Path = Path("preprocess.png")
     """File for the plot of the densities: .png, .svg or .pdf."""
     genome: GenomeKind = "shared"
-    """Kind of genome. full: times of every spring; per-segment: a body for every segment."""
+    """Kind of genome. full: separate times for every spring; per-segment: a body for every segment."""
     floor_ratio: float = 3.0
     """Ratio of the largest to the smallest density of a preprocessed gene; 3 in the paper."""
     clipping: Clipping = "truncated"
-    """How Gaussians are limited to the bounds of their gene."""
+    """How a Gaussian is limited to the bounds of its gene."""
     mirrored: bool = False
-    """Put every peak at the opposite bound: a prior that misleads on purpose."""
+    """Put every peak at the opposite bound, which gives a deliberately misleading prior."""
     gait_period_s: float = GAIT_PERIOD_S
-    """Period of the gait in s, a multiple of 0.1; upper bound of the on and off times."""
+    """Gait period in s, a multiple of 0.1. It is the upper bound of the on and off times."""
     num_segments: int = 4
     """Number of segments of the robot."""
 
@@ -53,7 +52,7 @@ def preprocess_command(argv: Sequence[str]) -> int:
         print(json.dumps([prior.to_dict() for prior in priors], indent=2))
     else:
         names = [parameter.name for parameter in design_parameters(encoding.physics)]
-        Console(width=None if sys.stdout.isatty() else 160).print(_make_table(priors, names))
+        cli.print_table(_make_table(priors, names), width=160)
     with writing(args.out):
         figures.save(figures.densities(priors), args.out)
     print(f"densities plotted in {args.out}", file=sys.stderr)

@@ -24,37 +24,35 @@ from evolution.run.history import History
 class ReplayArgs:
     """Simulate recorded robots again, compare them with their records, and make a video.
 
-    Several robots are shown side by side. To film an evolution, show the best robots after some of its
+    Several robots are shown side by side. To film an evolution, show the best robots after some of the
     generations: `caterpillar replay RUN --generations 0 5 10 25 50`.
     """
 
     source: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Run folders, or JSON files of one robot each (best.json)."""
+    """Run folders, or JSON files of robots (best.json)."""
     generations: tuple[int, ...] = ()
-    """Show the best robot after each of these generations of one run; give the run folder first."""
+    """Show the best robot after each of these generations of one run. Put the run folder first."""
     timestep_s: float | None = None
-    """Timestep in s, such as 0.0005; by default the recorded one."""
+    """Timestep in s, such as 0.0005; by default, the recorded timestep."""
     json: bool = False
-    """Print JSON instead of text; a list for several robots."""
+    """Print JSON instead of text: an object, or a list of objects for several robots."""
     video: bool = True
     """Write a video."""
     out: Path | None = None
-    """Video file, .mp4 or .gif; by default replay.mp4 or film.mp4 beside the source or, for several
-    sources, replay.mp4 in the current folder."""
+    """Video file, .mp4 or .gif. By default, replay.mp4 (film.mp4 with --generations) beside the source;
+    for several sources, replay.mp4 in the current folder."""
     picture: VideoConfig = field(default_factory=VideoConfig)
 
     def __post_init__(self) -> None:
         if not self.source:
-            raise CaterpillarError(
-                "give one or more run folders or JSON files of a robot (best.json) to replay"
-            )
+            raise CaterpillarError("give one or more run folders, or JSON files of robots (best.json)")
         if self.generations and (len(self.source) > 1 or min(self.generations) < 0):
             raise CaterpillarError(
                 "--generations takes one run folder and numbers from 0; got "
                 f"{' '.join(map(str, self.source))} and {' '.join(map(str, self.generations))}"
             )
         if self.out is not None and not self.video:
-            raise CaterpillarError("--out names a video, which --no-video excludes: remove one of them")
+            raise CaterpillarError("--out contradicts --no-video: remove one of them")
 
 
 def replay_command(argv: Sequence[str]) -> int:
@@ -87,7 +85,7 @@ def replay_command(argv: Sequence[str]) -> int:
 
 
 def _load_robots(args: ReplayArgs) -> list[tuple[str, Robot]]:
-    """The robots with their titles."""
+    """Load the robots to show, with their titles."""
     if not args.generations:
         titles = [_title(path) for path in args.source]
         if len(set(titles)) < len(titles):
@@ -103,7 +101,7 @@ def _load_robots(args: ReplayArgs) -> list[tuple[str, Robot]]:
 
 
 def _title(path: Path) -> str:
-    """The name of the run folder, also for its best.json; of another file its own name."""
+    """Return the name of a run folder, also for its best.json, or the stem of any other file."""
     if path.is_dir():
         return path.resolve().name
     return path.resolve().parent.name if path.name == "best.json" else path.stem

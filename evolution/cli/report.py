@@ -25,11 +25,11 @@ class ReportArgs:
     """Write the figures and report.html of a run, or of the finished runs of a study."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """The folder of the run or the study."""
+    """Folder of the run or study."""
     video: bool = True
-    """For a run: write best.mp4, unless it shows the best robot already."""
+    """For a run: write best.mp4, unless it already shows the best robot."""
     winners: bool = True
-    """For a study: simulate the best robot of each arm under other conditions; takes minutes."""
+    """For a study: simulate the best robot of each arm under other conditions. This takes minutes."""
 
 
 def report_command(argv: Sequence[str]) -> int:
@@ -37,7 +37,7 @@ def report_command(argv: Sequence[str]) -> int:
     args = cli.parse(ReportArgs, argv, "report")
     console = cli.console()
     if (args.folder / SETTINGS).is_file():
-        write_report(args.folder, console, look_again=args.winners)
+        write_report(args.folder, console, test_winners=args.winners)
     elif (args.folder / JOURNAL).is_file():
         write_results(History.read(args.folder), console, video=args.video)
     else:
@@ -48,7 +48,7 @@ def report_command(argv: Sequence[str]) -> int:
     return 0
 
 
-def write_report(folder: Path, console: Console, *, look_again: bool) -> None:
+def write_report(folder: Path, console: Console, *, test_winners: bool) -> None:
     """Write the report of a study, and print its results."""
     from evolution.study import report
     from evolution.study.analysis import analyse, summarize
@@ -61,15 +61,15 @@ def write_report(folder: Path, console: Console, *, look_again: bool) -> None:
             f"no run of {folder} is finished yet; continue with caterpillar study, or see caterpillar "
             f"runs {folder}"
         )
-    analysis = analyse(config, results, read_thresholds(config, folder, results.table))
     if results.environments > 1:
         console.print(
             f"warning: runs were made with {results.environments} different sets of package versions or "
             "machines (see table sessions of their journals); their results may not be comparable",
         )
-    if look_again:
+    analysis = analyse(config, results, read_thresholds(config, folder, results.table))
+    if test_winners:
         console.print("simulating the best robots again ...")
-    winners = find_winners(analysis, folder) if look_again else []
+    winners = find_winners(analysis, folder) if test_winners else []
     page = report.write(analysis, results.table, winners, folder)
     print("\n".join(summarize(analysis)))
     print(f"written: {page}", file=sys.stderr)

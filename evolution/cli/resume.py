@@ -18,14 +18,14 @@ from evolution.run.loop import resume
 
 @dataclass(frozen=True)
 class ResumeArgs:
-    """Continue a run where it ended. Evaluations in its journal are not computed again."""
+    """Continue a run from its last recorded evaluation. Recorded evaluations are not repeated."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """The run folder."""
+    """Run folder."""
     generations: int | None = None
     """New total number of generations, to make the run longer."""
     repair: bool = False
-    """First repair a damaged journal: keep the evaluations that precede the damage."""
+    """Repair a damaged journal first. This keeps the evaluations that precede the damage."""
     workers: WorkerArgs = field(default_factory=WorkerArgs)
 
 

@@ -1,10 +1,10 @@
-"""What the commands share that run something: flags, progress and closing messages."""
+"""Flags, progress and closing messages of the commands that run something."""
 
 from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -22,28 +22,20 @@ from evolution.run.history import Generation, History
 
 
 def check_threads(threads: int) -> None:
-    """Check the number of threads of a command.
-
-    Raises:
-        CaterpillarError: it is negative.
-    """
+    """Raise a `CaterpillarError` if the number of threads is negative."""
     if threads < 0:
         raise CaterpillarError(f"threads = {threads} must not be negative; 0 uses all cores")
 
 
 def check_address(address: str | None, evaluator: str) -> None:
-    """Check that an address of a Ray cluster is used.
-
-    Raises:
-        CaterpillarError: the evaluator is another one.
-    """
+    """Raise a `CaterpillarError` if the address of a Ray cluster is given for a different evaluator."""
     if address is not None and evaluator != "ray":
         raise CaterpillarError("--ray-address requires --evaluator ray")
 
 
 @dataclass(frozen=True)
 class WorkerArgs:
-    """Where a run is computed and what is written; this does not change its result."""
+    """Where a run is computed, and which extra files it writes. Neither changes the result."""
 
     evaluator: Literal["local", "ray"] = "local"
     """local: threads of this machine; ray: a Ray cluster."""
@@ -54,7 +46,7 @@ class WorkerArgs:
     video: bool = True
     """Write best.mp4, a video of the best robot."""
     track: Literal["nowhere", "tensorboard"] = "nowhere"
-    """tensorboard: also log to the run folder, for TensorBoard; resume continues such a log."""
+    """tensorboard: log to the run folder, for TensorBoard. resume continues an existing log."""
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
@@ -68,17 +60,15 @@ class WorkerArgs:
 
     @contextmanager
     def follow(self, reporter: Reporter, folder: Path) -> Iterator[Callable[[Generation], None]]:
-        """Show the progress of a run, and log it if asked; a function to call with each generation."""
-        if self.track == "nowhere" and not (folder / TENSORBOARD).is_dir():
-            with reporter:
-                yield reporter.generation
-            return
+        """Show the progress of a run, and log it on request. Yields a callback for each generation."""
+        tracked = self.track == "tensorboard" or (folder / TENSORBOARD).is_dir()
+        with TensorBoard(folder) if tracked else nullcontext() as board, reporter:
 
-        def report(generation: Generation) -> None:
-            reporter.generation(generation)
-            board.generation(generation)
+            def report(generation: Generation) -> None:
+                reporter.generation(generation)
+                if board is not None:
+                    board.generation(generation)
 
-        with TensorBoard(folder) as board, reporter:
             yield report
 
 
@@ -100,19 +90,19 @@ class Reporter:
 
     @property
     def share_done(self) -> float:
-        """Share of the run that is done, in [0, 1]."""
+        """Completed share of the run, in [0, 1]."""
         return self._bar.tasks[0].completed
 
     def generation(self, generation: Generation) -> None:
         """Report a completed generation."""
         done = self._config.share_done(generation.evaluations, generation.simulated_s)
         left = self._config.generations - generation.number - 1
-        # The number of generations in a budget is unknown: assume that the next one is like this one.
+        # A budget does not fix the number of generations: assume that the next one is like this one.
         even = (1.0 - done) / left if left else 0.0
         self._step = even if self._config.budget_s is None else done - self._done
         self._done = done
         following = f"generation {generation.number + 1}"
-        if generation.replayed:  # replaying takes no time: estimate the time left without it
+        if generation.replayed:  # replayed generations are excluded from the time left
             self._bar.reset(self._task, description=following)
             self._bar.update(self._task, completed=done)
         else:
@@ -134,7 +124,7 @@ class Reporter:
 
 
 def finish(history: History, console: Console, *, video: bool) -> int:
-    """Report why a run ended, write its film and page, and say what to do next; the exit status."""
+    """Report why a run ended, write its video and page, and return the exit status."""
     if history.finished:
         console.print(f"finished: {history.ending()}")
     else:
@@ -144,7 +134,7 @@ def finish(history: History, console: Console, *, video: bool) -> int:
 
 
 def write_results(history: History, console: Console, *, video: bool) -> None:
-    """Film the best robot, write the page of the run, and print where they are and what to do next."""
+    """Write the video and the page of a run, and print their paths and the next commands."""
     from caterpillar_env.drawing.video import is_video_of
     from evolution.report import run_page
 
@@ -173,7 +163,7 @@ def print_commands(history: History) -> None:
 
 
 def film(robot: AnyRobot, path: Path, console: Console, timestep_s: float | None = None) -> None:
-    """Write a video; a machine that cannot draw gets a message instead."""
+    """Write a video. If this fails, print the reason instead."""
     from caterpillar_env.drawing.video import Recording, write_video
 
     console.print(f"writing {path} ...")

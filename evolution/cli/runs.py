@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from caterpillar_env.errors import CaterpillarError
@@ -22,10 +21,10 @@ from evolution.run.journal import FILE
 
 @dataclass(frozen=True)
 class RunsArgs:
-    """List evolutionary runs and trainings with their settings, progress and best distance."""
+    """List evolution and training runs with their settings, progress and best distance."""
 
     folder: Annotated[Path, tyro.conf.Positional] = Path("runs")
-    """Folder to search, with all folders in it."""
+    """Folder to search, including its subfolders."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -44,7 +43,7 @@ def runs_command(argv: Sequence[str]) -> int:
         table = Table(*rows[0])
         for row in rows:
             table.add_row(*("" if value is None else str(value) for value in row.values()))
-        Console(width=None if sys.stdout.isatty() else 150, markup=False).print(table)
+        cli.print_table(table)
     return 0
 
 

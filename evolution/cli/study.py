@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -26,19 +27,19 @@ class StudyArgs:
     """Run the arms and seeds of a study, and write its report. Finished runs are not repeated."""
 
     file: Annotated[Path | None, tyro.conf.Positional] = None
-    """TOML file with the settings of the study, see docs/study.md."""
+    """TOML file with the settings of the study (see docs/study.md)."""
     preset: Literal["paper", "ablation", "pilot", "rl-pilot"] | None = None
-    """A study of the package, instead of a file."""
+    """Use a study of this package instead of a file."""
     out: Path | None = None
-    """Study folder to create or continue; by default studies/NAME, with the name of file or preset."""
+    """Study folder to create or continue; by default, studies/NAME for a file or preset of that name."""
     processes: int = 0
-    """Number of runs side by side, one thread each; 0 uses all cores."""
+    """Number of simultaneous runs, one thread each; 0 uses all cores."""
     evaluator: Literal["local", "ray"] = "local"
-    """local: processes of this machine; ray: tasks of a Ray cluster that shares the study folder."""
+    """local: processes of this machine; ray: a Ray cluster whose machines share the study folder."""
     ray_address: str | None = None
     """Address of a running Ray cluster; by default, a local one is started for the study."""
     winners: bool = True
-    """Simulate the best robot of each arm under other conditions; takes minutes."""
+    """Simulate the best robot of each arm under other conditions. This takes minutes."""
 
     def __post_init__(self) -> None:
         if (self.file is None) == (self.preset is None):
@@ -62,62 +63,45 @@ def study_command(argv: Sequence[str]) -> int:
     console = cli.console()
     for warning in config.warnings():
         console.print(f"warning: {warning}")
-    workers: Processes | RayTasks
+    workers: Processes | RayTasks = Processes(args.processes or machine.cores())
     if args.evaluator == "ray":
         workers = RayTasks(args.ray_address)
-    else:
-        workers = Processes(args.processes or machine.cores())
     try:
-        with _Display(console) as display:
-            failed = run_study(config, folder, workers, display.show)
+        with _show_progress(console) as show:
+            failed = run_study(config, folder, workers, show)
     except KeyboardInterrupt:
         console.print(f"stopped; continue with: caterpillar study {' '.join(argv)}")
         return 130
     for cell, error in failed:
         console.print(f"{cell} failed: {error}")
-    write_report(folder, console, look_again=args.winners)
+    write_report(folder, console, test_winners=args.winners)
     return 1 if failed else 0
 
 
-class _Display:
-    """The progress of all runs: a live display on a terminal, otherwise a line per minute."""
+@contextmanager
+def _show_progress(console: Console) -> Iterator[Callable[[Progress], None]]:
+    """Show the progress of all runs: live on a terminal, otherwise in a line per minute."""
+    bar = cli.bar(console)
+    task = bar.add_task("study", total=1.0)
+    live = Live(console=console, refresh_per_second=2)
+    last_minute = -1
 
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._bar = cli.bar(console)
-        self._task = self._bar.add_task("study", total=1.0)
-        self._live = Live(console=console, refresh_per_second=2)
-        self._minute = -1
-
-    def __enter__(self) -> _Display:
-        if self._console.is_terminal:
-            self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._console.is_terminal:
-            self._live.stop()
-
-    def show(self, progress: Progress) -> None:
-        """Update the display."""
-        self._bar.update(
-            self._task, completed=progress.share,
-            description=f"{progress.finished} of {progress.cells} runs",
-        )  # fmt: skip
+    def show(progress: Progress) -> None:
+        nonlocal last_minute
+        finished = f"{progress.finished} of {progress.cells} runs"
+        bar.update(task, completed=progress.share, description=finished)
         lines = [
             f"  {cell}: {simulated_s:,.0f} s simulated, best {1000 * best_m:.1f} mm"
             for cell, (simulated_s, best_m) in progress.running.items()
         ]
-        if self._console.is_terminal:
-            self._live.update(Group(self._bar, Text("\n".join(lines))))
+        if console.is_terminal:
+            live.update(Group(bar, Text("\n".join(lines))))
             return
-        task = self._bar.tasks[0]
-        minute = int(task.elapsed or 0) // 60
-        if minute > self._minute or progress.finished == progress.cells:
-            self._minute = minute
-            left = task.time_remaining
-            eta = "" if left is None else f", left {left / 60:.0f} min"
-            self._console.print(
-                f"{progress.finished} of {progress.cells} runs, {100 * progress.share:.0f} %{eta};"
-                + ";".join(lines),
-            )
+        minute, left_s = int(bar.tasks[0].elapsed or 0) // 60, bar.tasks[0].time_remaining
+        if minute > last_minute or progress.finished == progress.cells:
+            last_minute = minute
+            left = "" if left_s is None else f", left {left_s / 60:.0f} min"
+            console.print(f"{finished}, {100 * progress.share:.0f} %{left};" + ";".join(lines))
+
+    with live if console.is_terminal else nullcontext():
+        yield show

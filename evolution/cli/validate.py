@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.table import Table
 
 from caterpillar_env.files import write_json, writing
@@ -30,15 +28,15 @@ class ValidateArgs:
     quick: bool = False
     """Use fewer robots, shorter runs and coarser references: one minute instead of fifteen."""
     settings: bool = False
-    """Also compare numerical settings, which takes five more minutes, and write settings.json."""
+    """Also compare numerical settings, and write settings.json. This takes five more minutes."""
     json: bool = False
     """Print JSON instead of tables."""
     out: Path = Path("validation")
-    """Folder for the plots and validation.json; created if missing."""
+    """Folder for the plots and validation.json. It is created if missing."""
 
 
 def groups(*, quick: bool) -> dict[str, Callable[[], list[Check]]]:
-    """The groups of checks in the order of the table, except those of gaits and timesteps."""
+    """Return the groups of checks in the order of the table, without those of gaits and timesteps."""
     from caterpillar_env.validation import conservation, golden, material, mechanics, robustness
 
     return {
@@ -110,7 +108,7 @@ def validate_command(argv: Sequence[str]) -> int:
         print(json.dumps(data, indent=2))
     else:
         for table in tables:
-            Console(width=None if sys.stdout.isatty() else 150).print(table)
+            cli.print_table(table)
     checks = [check for group in results.values() for check in group]
     console.print(f"{_count_passed(checks)}; plots are in {args.out}")
     if not all(check.passed for check in results["golden trajectories"]):

@@ -20,9 +20,9 @@ from evolution.priors.preprocessor import GenePrior
 from evolution.run.history import Generation
 
 _DPI = 120
-_WIDTH_IN = 6.0  # narrow enough to be read on a telephone
+_WIDTH_IN = 6.0  # readable on a phone
 _COLOURS = ("gray", "red", "purple", "green", "brown", "olive", "pink", "cyan")
-#: Colour of each failure in all figures, by its name.
+#: Colour of each failure in all figures, by name.
 FAILURE_COLOURS = {
     failure.label: f"tab:{colour}"
     for failure, colour in zip([f for f in Failure if f is not Failure.NONE], _COLOURS, strict=False)
@@ -30,19 +30,19 @@ FAILURE_COLOURS = {
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure; the suffix of the file name gives the format."""
+    """Write a figure in the format that the suffix of the file name gives."""
     figure.savefig(path, dpi=_DPI)
 
 
 def inline_svg(figure: Figure, name: str) -> str:
-    """A figure as an SVG element of an HTML page.
+    """Return a figure as an SVG element for an HTML page.
 
-    The same figure gives the same text. The style sheet of the page replaces black, white and the font,
-    so that the figure can be read on a dark background too.
+    The output is deterministic. The style sheet of the page replaces black, white and the font, so that
+    the figure is readable on a dark background too.
 
     Args:
         figure: the figure.
-        name: name of the figure, unique on its page, because ids of elements are made from it.
+        name: name of the figure, unique on its page. Element ids are derived from it.
     """
     svg = io.StringIO()
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
@@ -53,7 +53,7 @@ def inline_svg(figure: Figure, name: str) -> str:
 
 
 def convergence(generations: Sequence[Generation], title: str) -> Figure:
-    """Best and mean fitness, and failures by reason, over the generations."""
+    """Plot best and mean fitness, and failures by reason, over the generations."""
     figure = Figure(figsize=(_WIDTH_IN, 5.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     numbers = [g.number for g in generations]
@@ -80,7 +80,7 @@ def convergence(generations: Sequence[Generation], title: str) -> Figure:
 
 
 def gait(robot: Robot) -> Figure:
-    """Power and austenite fraction of each pair or spring over one period, in the limit cycle."""
+    """Plot power and austenite fraction of each pair or spring over a period of the limit cycle."""
     spring, timings = robot.physics.spring, robot.timings
     power = timings.power(SMA_STEP_S)  # (steps, pairs or springs)
     state = SmaState.cold(spring, power.shape[1:])
@@ -110,7 +110,7 @@ def gait(robot: Robot) -> Figure:
 
 
 def densities(priors: Sequence[GenePrior]) -> Figure:
-    """Mutation density of each gene over its range, relative to the uniform density."""
+    """Plot the mutation density of each gene over its range, relative to the uniform density."""
     columns = 4
     rows = -(-len(priors) // columns)
     figure = Figure(figsize=(3.2 * columns, 1.9 * rows), layout="constrained")

@@ -1,4 +1,4 @@
-"""HTML pages from the templates of this package, each a single file without external resources."""
+"""Renders templates to HTML pages. Each page is a single file without external resources."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def render(template: str, filters: dict[str, Callable[..., str]], **contents: An
 
     Args:
         template: name of a file of this package.
-        filters: filters of the template by name, which format numbers.
-        **contents: variables of the template; text in them is escaped.
+        filters: functions that format numbers in the template, by name.
+        **contents: variables of the template. Text in them is escaped.
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True,
@@ -33,5 +33,5 @@ def render(template: str, filters: dict[str, Callable[..., str]], **contents: An
 
 
 def data_url(kind: str, data: bytes) -> str:
-    """Data of a media type (`kind`) as a URL, to embed it in a page."""
+    """Encode data of a media type (`kind`) as a URL, for embedding in a page."""
     return f"data:{kind};base64,{base64.b64encode(data).decode()}"

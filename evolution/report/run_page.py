@@ -28,24 +28,24 @@ LARGEST_VIDEO_BYTES = 16 * 2**20
 
 
 class GeneRow(NamedTuple):
-    """A gene of the best robot beside its bounds and its prior, in mm, g, ° or s."""
+    """A gene of the best robot with its bounds and its prior, in mm, g, ° or s."""
 
     title: str
     unit: str
     value: float
     lower: float
     upper: float
-    peak: float | None  #: of the prior; None if it is uniform
-    width: float | None  #: standard deviation of the prior; None if it is uniform
+    peak: float | None  #: of the prior; None if the prior is uniform
+    width: float | None  #: standard deviation of the prior; None if the prior is uniform
 
     def percent(self, value: float) -> float:
-        """Position of a value between the bounds, from 0 to 100; values outside are clipped."""
+        """Return the position of a value between the bounds, clipped to 0 to 100."""
         share = (value - self.lower) / (self.upper - self.lower)
         return 100.0 * min(max(share, 0.0), 1.0)
 
 
 def write(history: History) -> Path:
-    """Write `convergence.png`, `gait.png` and `report.html` into the run folder; the path of the page.
+    """Write `convergence.png`, `gait.png` and `report.html` into the run folder. Return the page's path.
 
     Raises:
         PageError: a file cannot be written.
@@ -72,11 +72,11 @@ def write(history: History) -> Path:
 
 
 def page(history: History, figures: Mapping[str, str]) -> str:
-    """The text of the page.
+    """Return the text of the page.
 
     Args:
         history: the run.
-        figures: SVG elements, `convergence` and `gait`; either can be missing.
+        figures: SVG elements by name, `convergence` and `gait`; both are optional.
     """
     config, generations, best = history.config, history.generations, history.best_robot
     evaluations, sessions, own = history.evaluations, history.sessions, history.own_optimizer
@@ -120,7 +120,7 @@ def page(history: History, figures: Mapping[str, str]) -> str:
 
 
 def gene_rows(history: History) -> list[GeneRow]:
-    """The genes of the best robot; empty if there is none."""
+    """Return the genes of the best robot, or an empty list if there is none."""
     best, config = history.best_robot, history.config
     if best is None:
         return []
@@ -142,7 +142,7 @@ def gene_rows(history: History) -> list[GeneRow]:
 
 
 def changed(configuration: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Settings that are not the default: name, value and default, as JSON."""
+    """Yield the settings that differ from the defaults: name, value and default, as JSON."""
     default = dict(_flatten(RunConfig().to_dict()))
     for name, value in _flatten(configuration):
         if name in default and json.dumps(value) != json.dumps(default[name]):
@@ -158,11 +158,11 @@ def _flatten(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, A
 
 
 def next_commands(history: History, folder: str) -> list[tuple[str, str]]:
-    """Commands for the next steps with a run, and their purposes.
+    """Return commands for the next steps with a run, each with its purpose.
 
     Args:
         history: the run.
-        folder: the run folder as the commands name it, quoted for the shell.
+        folder: the run folder for the commands, quoted for the shell.
     """
     commands = []
     if history.best is not None:
@@ -180,7 +180,7 @@ def next_commands(history: History, folder: str) -> list[tuple[str, str]]:
 
 
 def _commands(history: History) -> list[tuple[str, str]]:
-    """All commands of the page, and their purposes."""
+    """Return all commands of the page, each with its purpose."""
     name = shlex.quote(history.folder.resolve().name)
     commands = next_commands(history, name)
     if history.best is not None:
@@ -196,7 +196,7 @@ def _commands(history: History) -> list[tuple[str, str]]:
 
 
 def _embed_video(history: History) -> tuple[str | None, str]:
-    """The video as a data URL, or None and the reason."""
+    """Return the video as a data URL, or None and the reason why there is none."""
     path, best = history.folder / "best.mp4", history.best_robot
     again = f"caterpillar report {shlex.quote(history.folder.resolve().name)}"
     if best is None:

@@ -15,7 +15,7 @@ FOLDER = "tensorboard"  #: name of the log's folder in a run folder
 class TensorBoard:
     """Writes the summary of each generation as TensorBoard scalars over simulated seconds.
 
-    The first generation replaces an earlier log, because a resumed run replays all its generations.
+    The first generation replaces an earlier log: a resumed run reports all its generations again.
 
     Args:
         run: the run folder.

@@ -1,4 +1,4 @@
-"""Analysis of a study: comparisons of its arms, as tables and in sentences."""
+"""Compares the arms of a study, in tables and in sentences."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from evolution.study.results import Results, Run, read_runs
 from evolution.study.statistics import Estimate
 
 TARGETS = 50
-_SEED = 2009  # of the bootstrap
+_BOOTSTRAP_SEED = 2009
 
 Arrivals = tuple[Array, NDArray[np.bool_]]
 G = TypeVar("G")
@@ -24,36 +24,36 @@ T = TypeVar("T")
 
 
 class Times(NamedTuple):
-    """Simulated time after which the runs of an arm reach a threshold."""
+    """Simulated times at which the runs of an arm reach a threshold."""
 
     arm: str
     runs: int
     reached: int
     median_s: Estimate  #: Kaplan-Meier
     running_time_s: Estimate  #: ERT
-    speed_up: Estimate | None  #: ERT of the reference over that of the arm; None for the reference
+    speed_up: Estimate | None  #: ratio of ERTs, reference to arm; None for the reference
     log_rank_p: float | None  #: against the reference, corrected over the arms (Holm)
 
 
 class Finals(NamedTuple):
-    """Best distances of the runs of an arm at the end of the budget."""
+    """Best distances of the runs of an arm when their budget is spent."""
 
     arm: str
     runs: int
     median_m: Estimate
     best_m: float
-    failed: float  #: share of all evaluations
+    failed: float  #: share of evaluations that failed
     a12: Estimate | None  #: against the reference
     mann_whitney_p: float | None  #: against the reference, corrected over the arms (Holm)
-    wall_s: float | None  #: median wall time of the runs that were never interrupted
+    wall_s: float | None  #: median wall time of uninterrupted runs
 
 
 class Gain(NamedTuple):
-    """Best distance of an arm at a generation, relative to the reference."""
+    """Median best distance of an arm at a generation, relative to the reference."""
 
     arm: str
-    runs: int  #: runs that reached this generation within the budget
-    ratio: Estimate  #: of the medians
+    runs: int  #: number of runs that completed this generation within the budget
+    ratio: Estimate  #: ratio of the medians, arm to reference
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,8 @@ class Analysis:
     config: StudyConfig
     missing: Sequence[Cell]  #: runs that are not finished
     thresholds_m: list[float] | None  #: None until all pilot runs are finished
-    runs: dict[str, list[Run]]  #: of the arms that have any, without pilot runs
-    times: dict[float, list[Times]]  #: by threshold, m
+    runs: dict[str, list[Run]]  #: finished runs by arm, without pilot runs
+    times: dict[float, list[Times]]  #: by threshold (m)
     finals: list[Finals]
     gains: list[Gain]
     ecdf: dict[str, Array]  #: share of (run, target) pairs reached at each time of `grid_s`
@@ -72,7 +72,7 @@ class Analysis:
 
 
 def analyse(config: StudyConfig, results: Results, thresholds_m: list[float] | None) -> Analysis:
-    """Compare the arms by those of their runs that are finished."""
+    """Compare the arms, using their finished runs only."""
     found = read_runs(results.table, config, config.seeds)
     runs = {arm: arm_runs for arm, arm_runs in found.items() if arm_runs}
     grid_s = np.linspace(0.0, config.budget_s, 201)
@@ -97,7 +97,10 @@ def analyse(config: StudyConfig, results: Results, thresholds_m: list[float] | N
 
 
 def arrivals(runs: Sequence[Run], threshold_m: float, budget_s: float) -> Arrivals:
-    """Return when runs reach a threshold, or the budget; and which of them reach it: (n,) each."""
+    """Return each run's time (s) to a threshold or to the end of its budget, (n,).
+
+    The second array, (n,), is True where a run reached the threshold.
+    """
     pairs = [run.reaches(threshold_m, budget_s) for run in runs]
     return np.array([time for time, _ in pairs]), np.array([reached for _, reached in pairs])
 
@@ -172,11 +175,11 @@ def _holm(p: dict[str, float]) -> dict[str, float]:
 
 
 def _bootstrap(statistic: Callable[..., float], *groups: tuple[NDArray[Any], ...]) -> Estimate:
-    return statistics.bootstrap(statistic, groups, np.random.default_rng(_SEED))
+    return statistics.bootstrap(statistic, groups, np.random.default_rng(_BOOTSTRAP_SEED))
 
 
 def _speed_up(group: Arrivals, reference: Arrivals) -> Estimate:
-    if not (group[1].any() and reference[1].any()):  # no resample could tell how certain the value is
+    if not (group[1].any() and reference[1].any()):  # no interval can be estimated
         return Estimate(statistics.speed_up(*group, *reference), float("nan"), float("nan"))
     return _bootstrap(statistics.speed_up, group, reference)
 

@@ -1,7 +1,7 @@
 """Arms of a study: the kinds of runs that it compares.
 
-Kinds of arms are entry points of the group `caterpillar.arms`: classes with the methods of `Arm`.
-`evolution` is the one of this package; other packages can add theirs.
+Each kind is an entry point of the group `caterpillar.arms`: a class with the methods of `Arm`. This
+package provides the kind `evolution`; other packages can add kinds.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ _UNLIMITED = 1_000_000  # generations: the budget ends a run
 
 
 class ArmError(CaterpillarError):
-    """An arm's settings cannot be used, or its run was made with other settings."""
+    """An arm's settings are invalid, or its run was made with different settings."""
 
 
 class Arm(Protocol):
-    """Settings of a run except its seed and budget. Equal arms run alike.
+    """Settings of a run except its seed and budget. Equal arms produce equal runs.
 
-    A run of any kind is a folder with a journal (`evolution.run.journal`), from which the study reads
-    everything except what these methods say.
+    Every run is a folder with a journal (`evolution.run.journal`), and the study reads the evaluations
+    from it. These methods cover everything that depends on the kind of the arm.
     """
 
     @classmethod
@@ -40,21 +40,21 @@ class Arm(Protocol):
         """Make an arm from plain data.
 
         Args:
-            data: the arm's own settings, without `kind`.
-            base: settings shared by all arms; each kind takes those that concern it (see `merge`).
+            data: settings of this arm, without `kind`.
+            base: settings shared by all arms. Each kind uses those that apply to it (see `merge`).
 
         Raises:
-            CaterpillarError: a setting cannot be used.
+            CaterpillarError: a setting is invalid.
         """
         ...
 
     @property
     def title(self) -> str:
-        """The arm in a few words."""
+        """Short description of the arm."""
         ...
 
     def run(self, folder: Path, seed: int, budget_s: float) -> bool:
-        """Run or resume on one thread; return whether the run finished."""
+        """Run or resume on one thread, and return whether the run finished."""
         ...
 
     def matches(self, history: History, seed: int, budget_s: float) -> bool:
@@ -62,7 +62,7 @@ class Arm(Protocol):
         ...
 
     def robot(self, folder: Path, evaluation: int) -> AnyRobot:
-        """Return the robot of a finished run's best evaluation within the budget, by its number."""
+        """Return the robot of an evaluation of a finished run, by its number."""
         ...
 
 
@@ -70,11 +70,11 @@ def make_arm(data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm:
     """Make an arm of the kind that `data["kind"]` names ("evolution" by default).
 
     Args:
-        data: the arm's own settings.
+        data: settings of this arm.
         base: settings shared by all arms.
 
     Raises:
-        CaterpillarError: the kind is unknown, or a setting cannot be used.
+        CaterpillarError: the kind is unknown, or a setting is invalid.
     """
     settings = dict(data)
     name = settings.pop("kind", "evolution")
@@ -93,7 +93,7 @@ def make_arm(data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm:
 
 
 def merge(base: Mapping[str, Any], special: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge settings into those of `base`: nested tables are merged, other values replaced."""
+    """Return `base` updated by `special`. Nested tables are merged, other values are replaced."""
     merged = dict(base)
     for key, value in special.items():
         old = merged.get(key)
@@ -113,7 +113,7 @@ class EvolutionArm:
         """Make an arm from the fields of a run's configuration.
 
         Raises:
-            CaterpillarError: a field cannot be used; `target_m` would end a run before its budget.
+            CaterpillarError: a field is invalid, or is `target_m`, which ends runs before their budget.
         """
         config = RunConfig.from_dict(merge(base, data))
         if config.target_m is not None:
@@ -125,7 +125,7 @@ class EvolutionArm:
 
     @property
     def title(self) -> str:
-        """The optimizer and its prior."""
+        """Names of the optimizer and its prior."""
         return f"{OPTIMIZERS[self.config.optimizer]} with {PRIORS[self.config.prior]}"
 
     def run_config(self, seed: int, budget_s: float) -> RunConfig:
@@ -133,14 +133,14 @@ class EvolutionArm:
         return replace(self.config, seed=seed, budget_s=budget_s, generations=_UNLIMITED)
 
     def run(self, folder: Path, seed: int, budget_s: float) -> bool:
-        """Evolve, or resume where a journal exists."""
+        """Evolve, or resume if there is a journal."""
         if (folder / FILE).exists():
             return resume(folder, evaluator=LocalEvaluator(1)).finished
         shutil.rmtree(folder, ignore_errors=True)  # stopped before the journal was created
         return evolve(self.run_config(seed, budget_s), folder, evaluator=LocalEvaluator(1)).finished
 
     def matches(self, history: History, seed: int, budget_s: float) -> bool:
-        """Compare the configuration of a run."""
+        """Return whether the run has the configuration of this arm."""
         return history.config == self.run_config(seed, budget_s)
 
     def robot(self, folder: Path, evaluation: int) -> Robot:

@@ -1,7 +1,7 @@
 """Runs the cells of a study, in processes of this machine or as tasks of a Ray cluster.
 
-A cell communicates with its study only through its run folder: progress is read from the journal, and a
-cell that was stopped continues from it.
+A cell communicates with its study through its run folder only: progress is read from the journal, and a
+stopped cell continues from it.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Processes:
         sender.close()
         try:
             error = receiver.recv()
-        except EOFError:  # it sent no error
+        except EOFError:  # no error was sent
             process.join()
             error = f"its process ended with status {process.exitcode}" if process.exitcode else None
         if error is not None:
@@ -96,7 +96,7 @@ class RayTasks:
     """Runs each cell as a task of a Ray cluster, whose machines must all see the study's folder.
 
     Args:
-        address: see `evolution.run.evaluators.connect_ray`.
+        address: address of the cluster (see `evolution.run.evaluators.connect_ray`).
     """
 
     def __init__(self, address: str | None = None) -> None:
@@ -147,10 +147,10 @@ def _call(task: _Task) -> None:
 class Progress(NamedTuple):
     """Progress of a study."""
 
-    finished: int  #: number of cells
-    cells: int
-    share: float  #: of the simulated seconds of all cells, in [0, 1]
-    running: dict[Cell, tuple[float, float]]  #: simulated seconds and greatest distance (m) so far
+    finished: int  #: number of finished cells
+    cells: int  #: number of all cells
+    share: float  #: completed share of the simulated seconds of all cells, in [0, 1]
+    running: dict[Cell, tuple[float, float]]  #: simulated seconds and best distance (m) so far
 
 
 def run_study(
@@ -159,13 +159,13 @@ def run_study(
     workers: Processes | RayTasks,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> list[tuple[Cell, str]]:
-    """Run every cell that is not finished; a cell that fails does not stop the others.
+    """Run all unfinished cells. A cell that fails does not stop the others.
 
     Args:
         config: the study.
-        folder: its folder, see `evolution.study.config.begin`.
-        workers: where to run.
-        on_progress: called twice a second.
+        folder: folder of the study (see `evolution.study.config.begin`).
+        workers: the processes or Ray tasks that run the cells.
+        on_progress: called with the progress twice a second.
 
     Returns:
         The cells that failed, each with its error.

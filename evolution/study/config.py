@@ -1,7 +1,7 @@
-"""The configuration of a study: arms times seeds, with one budget of simulated seconds for every run.
+"""Configuration of a study: every arm runs with every seed, and all runs have the same budget.
 
-A study is a folder with `study.json` (the configuration), `cells/ARM/seed-N` (one run folder each) and
-`thresholds.json` (written once, from pilot runs). A study can be stopped and resumed at any time.
+The folder of a study contains `study.json` (the configuration), a run folder `cells/ARM/seed-N` for each
+run, and `thresholds.json` (written once, from pilot runs). Studies can be stopped and resumed anytime.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from caterpillar_env.task import EPISODE_S
 from evolution.config import RunConfig
 from evolution.study.arms import Arm, EvolutionArm, make_arm
 
-SETTINGS = "study.json"  #: the file of a study's configuration
+SETTINGS = "study.json"  #: name of the file with a study's configuration
 
 
 class StudyError(CaterpillarError):
-    """A study's configuration or folder cannot be used."""
+    """The configuration or the folder of a study is invalid."""
 
 
 class Cell(NamedTuple):
@@ -52,14 +52,14 @@ class StudyConfig:
 
     arms: Mapping[str, Arm]
     seeds: tuple[int, ...]
-    pilot_seeds: tuple[int, ...]  #: of the reference arm; used for the thresholds only
+    pilot_seeds: tuple[int, ...]  #: seeds of the reference arm's pilot runs, for the thresholds only
     budget_s: float  #: simulated seconds of each run
-    reference: str = "ga-uniform"  #: the arm that the others are compared with
-    generation: int = 50  #: arms of the same genetic algorithm are also compared at this generation
-    threshold_shares: tuple[float, ...] = (0.5, 0.75, 1.0)  #: of the reference's median final distance
-    sources: Mapping[str, Any] = field(
-        default_factory=dict, compare=False
-    )  #: `base` and `arms` as given
+    reference: str = "ga-uniform"  #: arm that the other arms are compared with
+    generation: int = 50  #: arms with the reference's algorithm are also compared at this generation
+    #: Thresholds as shares of the median final distance of the reference's pilot runs.
+    threshold_shares: tuple[float, ...] = (0.5, 0.75, 1.0)
+    #: `base` and `arms` as given to `from_dict`.
+    sources: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def __post_init__(self) -> None:
         if not self.arms:
@@ -97,10 +97,10 @@ class StudyConfig:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> StudyConfig:
-        """Make a study from plain data, as in a TOML file; `base` holds settings shared by all arms.
+        """Make a study from plain data, as in a TOML file. `base` has the settings shared by all arms.
 
         Raises:
-            CaterpillarError: a field is missing, unknown or unusable.
+            CaterpillarError: a field is missing, unknown or invalid.
         """
         settings: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
         sources = {name: settings.pop(name, {}) for name in ("base", "arms")}
@@ -118,17 +118,17 @@ class StudyConfig:
         return cls(arms, **settings, sources=sources)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data, as `from_dict` takes it."""
+        """Return plain data for `from_dict`."""
         names = [f.name for f in fields(self) if f.name not in ("arms", "sources")]
         return {name: getattr(self, name) for name in names} | dict(self.sources)
 
     def cells(self) -> list[Cell]:
-        """List all runs, pilot runs first."""
+        """Return all runs, pilot runs first."""
         pilot = [Cell(self.reference, seed) for seed in self.pilot_seeds]
         return pilot + [Cell(arm, seed) for seed in self.seeds for arm in self.arms]
 
     def comparable(self) -> dict[str, RunConfig]:
-        """Return the arms whose generations compare with the reference's: those of its algorithm."""
+        """Return the arms with the reference's algorithm, whose generations are comparable."""
         runs = {name: arm.config for name, arm in self.arms.items() if isinstance(arm, EvolutionArm)}
         base = runs.get(self.reference)
         if base is None:
@@ -138,7 +138,7 @@ class StudyConfig:
         }
 
     def warnings(self) -> list[str]:
-        """Describe arms for which the budget may be too short, as when no evaluation fails early."""
+        """Describe the arms whose budget is too short if no evaluation fails early."""
         found = []
         comparable = self.comparable()
         for name, arm in self.arms.items():
@@ -190,12 +190,12 @@ def preset(name: str) -> StudyConfig:
 
 
 def begin(config: StudyConfig, folder: Path) -> None:
-    """Write a study's configuration into its folder, which is made or holds this study already.
+    """Write a study's configuration into its folder. The folder is created if it is missing.
 
-    An existing study may gain arms and seeds, but may not change otherwise.
+    Arms and seeds can be added to an existing study. Its other settings cannot be changed.
 
     Raises:
-        StudyError: the folder holds something else, or the same study with other settings.
+        StudyError: the folder contains other files, or a study with different settings.
     """
     file = folder / SETTINGS
     if file.exists():
@@ -219,7 +219,7 @@ def load(folder: Path) -> StudyConfig:
     """Read the study of a folder.
 
     Raises:
-        StudyError: the folder holds no study, or one that cannot be read.
+        StudyError: the folder contains no study, or the study cannot be read.
     """
     missing = "give a folder that caterpillar study made"
     return read(folder / SETTINGS, StudyConfig.from_dict, StudyError, missing)

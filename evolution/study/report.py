@@ -1,8 +1,7 @@
-"""Report of a study: its figures, and one HTML page with tables and figures."""
+"""Draws the figures of a study, and writes its HTML page."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -23,7 +22,7 @@ from evolution.study.analysis import Analysis, arrivals, format_estimate, format
 from evolution.study.arms import EvolutionArm
 from evolution.study.winners import Winner
 
-_KILO = 1000.0  # simulated seconds on the axes
+_KILO = 1000.0  # the time axes are in 1000 s
 _TIME = "simulated time (1000 s)"
 _TENTHS = 10
 
@@ -65,7 +64,7 @@ def draw_best(analysis: Analysis) -> Figure:
 
 
 def draw_survival(analysis: Analysis) -> Figure | None:
-    """Draw Kaplan-Meier curves of the time to each threshold; None if there are no thresholds."""
+    """Draw Kaplan-Meier curves of the time to each threshold, or return None without thresholds."""
     thresholds_m = analysis.thresholds_m or []
     if not thresholds_m:
         return None
@@ -131,7 +130,7 @@ def draw_failures(analysis: Analysis) -> Figure:
 def draw_genes(analysis: Analysis, table: polars.DataFrame) -> Figure | None:
     """Draw body parameters over the generations of the genetic algorithm, and the priors' peaks.
 
-    None if no arm is a genetic algorithm with one body for all segments.
+    Returns None if no arm is a genetic algorithm with the same body for all segments.
     """
     config = analysis.config
     searches = {a: kind.config for a, kind in config.arms.items() if isinstance(kind, EvolutionArm)}
@@ -172,7 +171,7 @@ def _new_figure(ylabel: str) -> tuple[Figure, Axes]:
 
 
 def _colours(analysis: Analysis) -> dict[str, Any]:
-    """The colour of each arm that has runs."""
+    """Return the colour of each arm that has runs."""
     palette = colormaps["tab10" if len(analysis.runs) <= 10 else "tab20"]
     return {arm: palette(number % 20) for number, arm in enumerate(analysis.runs)}
 
@@ -198,10 +197,9 @@ def write(analysis: Analysis, table: polars.DataFrame, winners: Sequence[Winner]
         }
         for name, figure in drawn.items():
             if figure is not None:
-                picture = io.BytesIO()
-                figure.savefig(picture, format="png", dpi=110)
-                (folder / "figures" / f"{name}.png").write_bytes(picture.getvalue())
-                figures.append((name, _CAPTIONS[name], data_url("image/png", picture.getvalue())))
+                path = folder / "figures" / f"{name}.png"
+                figure.savefig(path, dpi=110)
+                figures.append((name, _CAPTIONS[name], data_url("image/png", path.read_bytes())))
     filters = {
         "mm": lambda metres: f"{1000 * metres:.1f}",
         "mm_interval": lambda estimate: format_estimate(estimate, "{:.1f}", 1000.0),

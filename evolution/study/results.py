@@ -1,4 +1,4 @@
-"""Results of a study: the evaluations of its finished runs, and how the runs progressed."""
+"""Results of a study: evaluations of its finished runs, and the progress of each run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from evolution.run.history import History
 from evolution.study.arms import ArmError
 from evolution.study.config import Cell, StudyConfig
 
-DATA = "evaluations.parquet"  #: the file with all evaluations of a study
+DATA = "evaluations.parquet"  #: name of the file with all evaluations of a study
 _OUTCOME = {
     "evaluation": polars.Int64, "generation": polars.Int64, "failure": polars.String,
     "distance_m": polars.Float64, "energy_j": polars.Float64, "simulated_s": polars.Float64,
@@ -27,7 +27,7 @@ _OUTCOME = {
 
 
 class Results(NamedTuple):
-    """What the finished runs of a study recorded."""
+    """Evaluations of the finished runs of a study."""
 
     table: polars.DataFrame  #: one row per evaluation: arm, seed, wall_s, outcome, genes in SI units
     missing: list[Cell]  #: runs that are not finished
@@ -35,16 +35,16 @@ class Results(NamedTuple):
 
 
 def read_finished(config: StudyConfig, cell: Cell, study: Path) -> History | None:
-    """Read a run of a study; None if there is none, or it is not finished or not readable.
+    """Read a run of a study, or return None if it is missing, unfinished or unreadable.
 
     Raises:
-        ArmError: the run was made with other settings.
+        ArmError: the run was made with different settings.
     """
     folder = cell.folder(study)
     try:
         history = History.read(folder)
     except JournalError:
-        return None  # running this cell reports what is wrong
+        return None  # running this cell reports the error
     if not config.arms[cell.arm].matches(history, cell.seed, config.budget_s):
         raise ArmError(
             f"{folder} was run with other settings; choose another folder for the study, or remove it"
@@ -53,9 +53,9 @@ def read_finished(config: StudyConfig, cell: Cell, study: Path) -> History | Non
 
 
 def collect(config: StudyConfig, folder: Path) -> Results:
-    """Read all finished runs of a study, and write their evaluations into `DATA`.
+    """Read all finished runs of a study, and write their evaluations into the file `DATA`.
 
-    Runs whose folders are gone are taken from the `DATA` of an earlier call.
+    Runs whose folders were deleted are taken from this file if an earlier call wrote it.
     """
     file = folder / DATA
     kept = dict(_split(polars.read_parquet(file))) if file.exists() else {}
@@ -92,7 +92,7 @@ def _to_table(cell: Cell, history: History) -> polars.DataFrame:
 
 
 def _split(table: polars.DataFrame) -> Iterator[tuple[Cell, polars.DataFrame]]:
-    """The rows of each run, in their order."""
+    """Yield the rows of each run, ordered by evaluation."""
     if table.is_empty():
         return
     for (arm, seed), rows in table.group_by("arm", "seed", maintain_order=True):
@@ -106,23 +106,23 @@ def _count_environments(fingerprints: list[dict[str, str]]) -> int:
 
 
 class Run(NamedTuple):
-    """How one run progressed; arrays over its E evaluations within the budget."""
+    """Progress of one run, in arrays over its E evaluations within the budget."""
 
     seed: int
     spent_s: Array  #: simulated seconds after each evaluation, (E,)
-    best_m: Array  #: greatest distance so far of a robot that did not fail, at least 0, (E,)
+    best_m: Array  #: largest distance so far of a robot that did not fail, at least 0, (E,)
     failure: NDArray[Any]  #: "ok" or the kind of failure, (E,)
-    generation: NDArray[np.int64]  #: (E,)
+    generation: NDArray[np.int64]  #: number of the generation, (E,)
     generations: int  #: number of generations completed within the budget
-    wall_s: float | None  #: wall time, if the run was never interrupted
+    wall_s: float | None  #: wall time; None if the run was interrupted
 
     def reaches(self, distance_m: float, horizon_s: float) -> tuple[float, bool]:
-        """Return when the run reaches a distance, s, and True; or `horizon_s` and False."""
+        """Return (time in s, True) if the run reaches a distance, and (`horizon_s`, False) otherwise."""
         reached = np.flatnonzero(self.best_m >= distance_m)
         return (float(self.spent_s[reached[0]]), True) if reached.size else (horizon_s, False)
 
     def at_generation(self, number: int) -> float:
-        """Return the best distance by the end of a generation, m; NaN beyond the budget."""
+        """Return the best distance (m) at the end of a generation, or NaN beyond the budget."""
         if number >= self.generations:
             return float("nan")
         return float(self.best_m[np.searchsorted(self.generation, number, side="right") - 1])
@@ -155,10 +155,10 @@ def read_runs(
 
 
 def read_thresholds(config: StudyConfig, folder: Path, table: polars.DataFrame) -> list[float] | None:
-    """Return the distances (m) that runs are timed to, which are written once and never change.
+    """Return the threshold distances (m). They are written into a file once, and never change.
 
     Returns:
-        None until all pilot runs are finished; an empty list if most of them never crawled forwards.
+        None until all pilot runs are finished, or an empty list if most of them never crawled forwards.
     """
     file = folder / "thresholds.json"
     if file.exists():

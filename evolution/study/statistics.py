@@ -1,7 +1,6 @@
-"""Statistics of runs: times to a threshold, some of them censored, and final distances.
+"""Statistics of times to a threshold, which can be censored, and of final distances.
 
-Every function takes plain arrays with one value per run. Confidence intervals are at the 95 % level
-unless another one is given.
+All functions take plain arrays with one value per run. Confidence intervals are at the level `LEVEL`.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ from caterpillar_env.arrays import Array
 
 Flags = NDArray[np.bool_]
 
-LEVEL = 0.95
+LEVEL = 0.95  #: confidence level of all intervals
 RESAMPLES = 4_999
 
 
 class Estimate(NamedTuple):
-    """A value with its confidence interval; the bounds are NaN where no interval can be given."""
+    """A value with its confidence interval. The bounds are NaN if there is no interval."""
 
     value: float
     low: float
@@ -33,32 +32,31 @@ class Estimate(NamedTuple):
 class Survival(NamedTuple):
     """Kaplan-Meier estimate of the share of runs that have not reached the threshold, over time."""
 
-    time: Array  #: where the step function changes, ascending, (K,)
-    share: Array  #: from each time on, (K,)
-    low: Array  #: Greenwood's interval on the log-log scale, (K,)
-    high: Array
-    median: Estimate  #: of the time; infinite where fewer than half of the runs reached the threshold
+    time: Array  #: times at which the step function changes, ascending, (K,)
+    share: Array  #: share from each time on, (K,)
+    low: Array  #: lower bound of Greenwood's interval on the log-log scale, (K,)
+    high: Array  #: upper bound, (K,)
+    median: Estimate  #: median time; infinite if fewer than half of the runs reached the threshold
 
 
-def kaplan_meier(time: Array, reached: Flags, level: float = LEVEL) -> Survival:
+def kaplan_meier(time: Array, reached: Flags) -> Survival:
     """Estimate the survival curve (Kaplan and Meier 1958), with Greenwood's log-log interval.
 
     Args:
-        time: when a run reached the threshold or was censored, (n,).
-        reached: True where it reached the threshold, False where it was censored, (n,).
-        level: confidence level of the intervals.
+        time: time at which each run reached the threshold or was censored, (n,).
+        reached: True for runs that reached the threshold, False for censored runs, (n,).
     """
     curve = stats.ecdf(_censored(time, reached)).sf
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the interval is undefined where the share is 0 or 1
-        interval = curve.confidence_interval(level, method="log-log")
+        interval = curve.confidence_interval(LEVEL, method="log-log")
     times, share = curve.quantiles, curve.probabilities
     low = np.where(np.isnan(interval.low.probabilities), share, interval.low.probabilities)
     high = np.where(np.isnan(interval.high.probabilities), 1.0, interval.high.probabilities)
     # Greenwood's formula is undefined at a share of 0: keep the last upper bound that is defined.
     last = int(np.argmax(share == 0)) if np.any(share == 0) else len(share)
     high[last:] = high[last - 1] if last else 1.0
-    # Brookmeyer and Crowley 1982: the median's interval is where the band covers one half.
+    # Brookmeyer and Crowley 1982: the interval of the median contains the times whose band covers 0.5.
     median = Estimate(*(_first_below(times, values) for values in (share, low, high)))
     if not np.any(reached):
         median = Estimate(float("inf"), float("nan"), float("nan"))
@@ -66,7 +64,7 @@ def kaplan_meier(time: Array, reached: Flags, level: float = LEVEL) -> Survival:
 
 
 def _censored(time: Array, reached: Flags) -> Any:
-    """Times as SciPy takes them."""
+    """Convert times to SciPy's censored data."""
     return stats.CensoredData.right_censored(np.asarray(time, dtype=float), ~np.asarray(reached))
 
 
@@ -76,7 +74,7 @@ def _first_below(times: Array, share: Array) -> float:
 
 
 def log_rank(time_a: Array, reached_a: Flags, time_b: Array, reached_b: Flags) -> float:
-    """P value for equal distributions of times in two groups (Mantel 1966); 1 where it is undefined."""
+    """Return the p value of the log-rank test (Mantel 1966), or 1 where it is undefined."""
     if not (np.any(reached_a) or np.any(reached_b)):
         return 1.0
     with warnings.catch_warnings():
@@ -86,13 +84,13 @@ def log_rank(time_a: Array, reached_a: Flags, time_b: Array, reached_b: Flags) -
 
 
 def expected_running_time(time: Array, reached: Flags) -> float:
-    """ERT: total time of all runs per run that reached the threshold (Hansen et al. 2021)."""
+    """Return the ERT: total time of all runs per run that reached the threshold (Hansen et al. 2021)."""
     successes = int(np.count_nonzero(reached))
     return float(np.sum(time)) / successes if successes else float("inf")
 
 
 def speed_up(time: Array, reached: Flags, reference_time: Array, reference_reached: Flags) -> float:
-    """ERT of the reference over ERT of the group; NaN where no run of either reached the threshold."""
+    """Return the ratio of ERTs, reference to group. It is NaN if no run reached the threshold."""
     ert = expected_running_time(time, reached)
     reference_ert = expected_running_time(reference_time, reference_reached)
     return float("nan") if np.isinf(ert) and np.isinf(reference_ert) else reference_ert / ert
@@ -103,19 +101,17 @@ def bootstrap(
     groups: Sequence[tuple[NDArray[Any], ...]],
     rng: np.random.Generator,
     *,
-    level: float = LEVEL,
     resamples: int = RESAMPLES,
 ) -> Estimate:
     """Estimate a statistic of groups of runs with the percentile interval of the bootstrap.
 
-    The interval is NaN where the statistic is infinite or undefined. Resamples in which it is undefined
-    are left out.
+    The interval is NaN if the statistic is infinite or undefined. Resamples in which the statistic is
+    undefined are ignored.
 
     Args:
-        statistic: takes the arrays of the first group, then those of the next.
-        groups: arrays of one length within a group; the runs of each group are resampled together.
+        statistic: function of the arrays of all groups, in order.
+        groups: arrays of each group, with one value per run. Arrays of a group are resampled together.
         rng: source of randomness.
-        level: confidence level of the interval.
         resamples: number of resamples.
     """
     value = statistic(*(array for group in groups for array in group))
@@ -128,23 +124,24 @@ def bootstrap(
             rows = rng.integers(0, len(group[0]), len(group[0]))
             arrays += [array[rows] for array in group]
         values[i] = statistic(*arrays)
-    tail = (1.0 - level) / 2
+    tail = (1.0 - LEVEL) / 2
     # A resample may be infinite (no run reached the threshold): take quantiles without interpolation.
     values = np.sort(values[~np.isnan(values)])
     low, high = (values[round(q * (len(values) - 1))] for q in (tail, 1.0 - tail))
     return Estimate(value, float(low), float(high))
 
 
-def a12(a: Array, b: Array, level: float = LEVEL) -> Estimate:
-    """Probability that a run of `a` beats one of `b`, ties count half (Vargha and Delaney 2000).
+def a12(a: Array, b: Array) -> Estimate:
+    """Estimate the probability that a run of `a` is better than one of `b` (Vargha and Delaney 2000).
 
-    The interval is Newcombe's fifth method (2006): it keeps a width where one group always wins.
+    Ties count half. The interval is that of Newcombe's method 5 (2006), which has a positive width even
+    if one group always wins.
     """
     u = stats.mannwhitneyu(a, b).statistic
     pairs = len(a) * len(b)
     value = float(u) / pairs
     others = (len(a) + len(b)) / 2 - 1
-    z = float(stats.norm.ppf(0.5 + level / 2))
+    z = float(stats.norm.ppf(0.5 + LEVEL / 2))
 
     def excess(theta: float) -> float:
         spread = theta * (1 - theta) / pairs
@@ -158,12 +155,12 @@ def a12(a: Array, b: Array, level: float = LEVEL) -> Estimate:
 
 
 def mann_whitney(a: Array, b: Array) -> float:
-    """P value for equal distributions of two groups; exact for small groups without ties."""
+    """Return the p value of the Mann-Whitney U test, which is exact for small groups without ties."""
     return float(stats.mannwhitneyu(a, b).pvalue)
 
 
 def holm(p: Sequence[float]) -> Array:
-    """P values of a family of tests, corrected for the number of tests (Holm 1979)."""
+    """Return the p values of a family of tests, corrected by Holm's method (1979)."""
     values = np.asarray(p, dtype=float)
     order = np.argsort(values)
     steps = np.maximum.accumulate(values[order] * np.arange(len(values), 0, -1))
@@ -173,10 +170,10 @@ def holm(p: Sequence[float]) -> Array:
 
 
 def target_ecdf(times: Array, grid: Array) -> Array:
-    """Share of (run, target) pairs reached by each time of `grid`, (T,).
+    """Return the share of (run, target) pairs reached by each time of `grid`, (T,).
 
     Args:
-        times: when each run reached each target, infinite if never, (runs, targets).
+        times: time at which each run reached each target, infinite if never, (runs, targets).
         grid: times, (T,).
     """
     flat = np.sort(np.ravel(times))

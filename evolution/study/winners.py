@@ -1,4 +1,4 @@
-"""Simulates the best robot of each arm again: at a finer timestep, and as slightly different robots."""
+"""Simulates the best robot of each arm again: at a finer timestep, and with slightly changed physics."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from caterpillar_env.task import label
 from evolution.study.analysis import Analysis
 from evolution.study.config import Cell
 
-REFERENCE_TIMESTEP_S = 0.00025  #: see docs/physics.md
-ARTEFACT_SHARE = 0.1  #: greatest change of distance at the reference timestep
+REFERENCE_TIMESTEP_S = 0.00025  #: timestep of the reference simulation, see docs/physics.md
+ARTEFACT_SHARE = 0.1  #: largest relative change of distance that is no artefact
 FRICTIONS = (0.6, 0.7, 0.9, 1.0)
 MISMATCH_SEEDS = (1001, 1002, 1003, 1004)
 
 
 class Winner(NamedTuple):
-    """The best robot of an arm, simulated again. Ranges are the least and the greatest distance."""
+    """The best robot of an arm, simulated again. Ranges are minimum and maximum distances."""
 
     arm: str
     seed: int
     recorded_m: float
     reference_m: float  #: distance at the reference timestep
-    failure: str  #: at the reference timestep; "ok" for none
-    friction_m: tuple[float, float]  #: over `FRICTIONS`; a failure counts as 0
-    mismatch_m: tuple[float, float] | None  #: over `MISMATCH_SEEDS`; None if the springs are not random
-    timestep_s: float  #: of the evolution
-    friction: float  #: of the evolution
+    failure: str  #: failure at the reference timestep, or "ok"
+    friction_m: tuple[float, float]  #: range over `FRICTIONS`; a failure counts as 0
+    mismatch_m: tuple[float, float] | None  #: range over `MISMATCH_SEEDS`, for random springs only
+    timestep_s: float  #: timestep of the evolution
+    friction: float  #: friction of the evolution
 
     @property
     def artefact(self) -> bool:
-        """Whether the robot fails, or its distance changes, at the reference timestep."""
+        """Whether the robot fails, or its distance changes too much, at the reference timestep."""
         change = abs(self.reference_m - self.recorded_m)
         return self.failure != "ok" or change > ARTEFACT_SHARE * self.recorded_m
 
 
 def find_winners(analysis: Analysis, folder: Path) -> list[Winner]:
-    """Simulate each arm's best robot within the budget again, unless this was done before.
+    """Simulate each arm's best robot within the budget again, or read the results of an earlier call.
 
-    Robots are saved as `winners/ARM.json` in the study's folder, results as `winners/winners.json`.
+    Robots are saved as `winners/ARM.json` in the study's folder, and results as `winners/winners.json`.
     """
     file = folder / "winners" / "winners.json"
     known = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
