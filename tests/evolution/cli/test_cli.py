@@ -1,4 +1,4 @@
-"""The command line from outside: exit status, and what is said where."""
+"""The command line as a user sees it: exit status, stdout, stderr and files."""
 
 import json
 import os
@@ -23,7 +23,7 @@ TINY = [
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """A run folder as `caterpillar evolve` leaves it."""
+    """A run folder that `caterpillar evolve` wrote."""
     folder = tmp_path_factory.mktemp("cli") / "run"
     assert cli.main([*QUICK, "--no-video", "--out", str(folder)]) == 0
     return folder
@@ -31,7 +31,7 @@ def recorded(tmp_path_factory):
 
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
-    """An empty working folder, so that nothing is left beside the tests."""
+    """A temporary working folder with some unusable files."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("")
     (tmp_path / "broken.json").write_text('{"format": ')
@@ -42,7 +42,7 @@ def elsewhere(tmp_path, monkeypatch):
 
 
 def status(arguments):
-    """The exit status, whether it is returned or raised."""
+    """Return the exit status, whether it is returned or raised."""
     try:
         return cli.main(arguments)
     except SystemExit as stop:
@@ -73,13 +73,13 @@ def subcommand(arguments, **kwargs):
     ],
     ids=" ".join,
 )
-def test_usage_that_the_parser_rejects_is_status_2(arguments, elsewhere, capsys):
+def test_wrong_usage_exits_with_status_2(arguments, elsewhere, capsys):
     before = sorted(elsewhere.rglob("*"))
     assert cli.main(arguments) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert arguments[-1] in said.err
-    assert f"caterpillar {arguments[0]} --help" in said.err
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert arguments[-1] in captured.err
+    assert f"caterpillar {arguments[0]} --help" in captured.err
     assert sorted(elsewhere.rglob("*")) == before
 
 
@@ -125,14 +125,14 @@ def test_usage_that_the_parser_rejects_is_status_2(arguments, elsewhere, capsys)
     ],
     ids=" ".join,
 )
-def test_every_error_is_one_line_and_a_status(arguments, elsewhere, capsys):
+def test_errors_print_one_line_and_set_the_exit_status(arguments, elsewhere, capsys):
     before = sorted(elsewhere.rglob("*"))
     assert status(arguments) in (1, 2)
-    said = capsys.readouterr()
-    lines = said.err.splitlines()
-    assert len(lines) == 1, said.err
+    captured = capsys.readouterr()
+    lines = captured.err.splitlines()
+    assert len(lines) == 1, captured.err
     assert lines[0].startswith("caterpillar")
-    assert "Traceback" not in said.err
+    assert "Traceback" not in captured.err
     assert sorted(elsewhere.rglob("*")) == before
 
 
@@ -148,30 +148,30 @@ def test_every_error_is_one_line_and_a_status(arguments, elsewhere, capsys):
         (["replay", "broken.json"], "broken.json is not JSON"),
     ],
 )
-def test_errors_name_what_was_wrong(arguments, hint, elsewhere, capsys):
+def test_errors_name_the_wrong_input(arguments, hint, elsewhere, capsys):
     assert status(arguments) != 0
     assert hint in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("timestep", ["0", "-0.005", "0.003", "nan", "inf"])
-def test_replay_at_an_impossible_timestep_is_one_line(timestep, recorded, capsys):
+def test_replay_rejects_invalid_timesteps_in_one_line(timestep, recorded, capsys):
     capsys.readouterr()
     assert status(["replay", str(recorded), "--no-video", "--timestep-s", timestep]) in (1, 2)
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert len(said.err.splitlines()) == 1
-    assert re.match(r"caterpillar replay: error: .*timestep", said.err)
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert len(captured.err.splitlines()) == 1
+    assert re.match(r"caterpillar replay: error: .*timestep", captured.err)
 
 
 # Help
 
 
 @pytest.mark.parametrize("flag", ["--help", "-h", "help"])
-def test_overview_names_all_subcommands(flag, capsys):
+def test_overview_lists_the_subcommands(flag, capsys):
     assert cli.main([flag]) == 0
-    said = capsys.readouterr().out
+    captured = capsys.readouterr().out
     for name in ("evolve", "preprocess", "replay"):
-        assert name in said
+        assert name in captured
 
 
 @pytest.mark.parametrize(
@@ -182,12 +182,12 @@ def test_overview_names_all_subcommands(flag, capsys):
         ("replay", ["--timestep-s", "--json", "--no-video"]),
     ],
 )
-def test_help_names_the_flags_and_succeeds(command, flags, capsys):
+def test_help_lists_the_flags_and_succeeds(command, flags, capsys):
     assert status([command, "--help"]) == 0
-    said = capsys.readouterr()
-    assert said.err == ""
+    captured = capsys.readouterr()
+    assert captured.err == ""
     for flag in flags:
-        assert flag in said.out
+        assert flag in captured.out
 
 
 def test_version_is_a_number(capsys):
@@ -198,7 +198,7 @@ def test_version_is_a_number(capsys):
 # Runs
 
 
-def test_evolve_leaves_record_and_figures(recorded):
+def test_evolve_writes_journal_figures_and_page(recorded):
     assert {p.name for p in recorded.iterdir()} == {
         "journal.sqlite", ".lock", "best.json", "convergence.png", "gait.png", "report.html",
     }  # fmt: skip
@@ -208,25 +208,25 @@ def test_evolve_leaves_record_and_figures(recorded):
 def test_replay_of_a_record_is_identical(recorded, capsys):
     capsys.readouterr()
     assert cli.main(["replay", str(recorded), "--no-video", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
+    captured = json.loads(capsys.readouterr().out)
     best = json.loads((recorded / "best.json").read_text())
-    assert said["identical"] is True
-    assert said["fitness_m"] == said["recorded_fitness_m"] == best["fitness_m"]
-    assert said["failure"] == "ok"
-    assert said["timestep_s"] == best["physics"]["timestep_s"]
+    assert captured["identical"] is True
+    assert captured["fitness_m"] == captured["recorded_fitness_m"] == best["fitness_m"]
+    assert captured["failure"] == "ok"
+    assert captured["timestep_s"] == best["physics"]["timestep_s"]
 
 
-def test_replay_at_a_finer_timestep_gives_another_number(recorded, capsys):
+def test_replay_at_a_finer_timestep_changes_the_fitness(recorded, capsys):
     capsys.readouterr()
     arguments = ["replay", str(recorded / "best.json"), "--no-video", "--json"]
     assert cli.main([*arguments, "--timestep-s", "0.00125"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["timestep_s"] == 0.00125
-    assert said["identical"] is False
-    assert said["fitness_m"] != said["recorded_fitness_m"]
+    captured = json.loads(capsys.readouterr().out)
+    assert captured["timestep_s"] == 0.00125
+    assert captured["identical"] is False
+    assert captured["fitness_m"] != captured["recorded_fitness_m"]
 
 
-def test_process_ends_with_the_status_and_one_line(tmp_path):
+def test_process_exits_with_the_status_and_prints_one_line(tmp_path):
     process = subcommand(["replay", "nothing.json"], cwd=tmp_path)
     out, err = process.communicate(timeout=120)
     assert process.returncode == 1
@@ -235,7 +235,7 @@ def test_process_ends_with_the_status_and_one_line(tmp_path):
     assert err.count("\n") == 1
 
 
-def test_interrupted_run_keeps_its_generations_and_says_so(tmp_path):
+def test_interrupted_run_keeps_its_generations_and_prints_how_to_resume(tmp_path):
     arguments = [*TINY, "--generations", "50", "--population", "4", "--out", "run"]
     process = subcommand(arguments, cwd=tmp_path)
     first = process.stderr.readline()
@@ -252,7 +252,7 @@ def test_interrupted_run_keeps_its_generations_and_says_so(tmp_path):
     assert generation == [0] * 4 + [1 + i // 3 for i in range(later)]
 
 
-def test_machine_without_drawing_loses_only_the_video(tmp_path):
+def test_machine_without_drawing_skips_only_the_video(tmp_path):
     process = subcommand(
         [*TINY, "--seed", "4", "--video", "--out", "run"],
         cwd=tmp_path, env={**os.environ, "MUJOCO_GL": "disabled"},

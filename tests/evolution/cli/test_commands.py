@@ -1,4 +1,4 @@
-"""The subcommands from inside: presets, what is printed, and which files are left."""
+"""The subcommands: presets, printed output and written files."""
 
 import contextlib
 import io
@@ -32,13 +32,13 @@ FLAGS = [
     "--hall-of-fame", "1", "--generations", "1", "--no-video",
 ]  # fmt: skip
 
-#: Physics in which every robot's integration breaks down at once.
+#: Physics in which every simulation diverges immediately.
 BROKEN = ["--integrator", "implicitfast", "--axial-stiffness-n-m", "1e9", "--axial-damping-n-s-m", "0"]
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """A run's folder, and what it printed."""
+    """A run's folder, and its stdout and stderr."""
     folder = tmp_path_factory.mktemp("commands") / "run"
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -61,7 +61,7 @@ def summary(number, evaluations, *, replayed=False, **failures):
 # evolve
 
 
-def test_paper_preset_is_the_papers_run():
+def test_paper_preset_has_the_default_configuration():
     assert PRESETS["paper"] == RunConfig()
     assert PRESETS["paper"].evaluations() == 9_510
 
@@ -94,20 +94,20 @@ def test_preset_gives_the_defaults_of_the_other_flags(monkeypatch, flags, genera
     assert configs[0].ga.population == population
 
 
-def test_flags_change_a_preset_and_leave_the_rest_of_it(run):
+def test_flags_override_the_preset(run):
     folder, _, _ = run
     assert load(folder).config == CONFIG
     assert PRESETS["quick"].generations != CONFIG.generations
 
 
-def test_evolve_records_the_same_as_the_function(run, tmp_path):
+def test_evolve_command_and_function_record_the_same_run(run, tmp_path):
     folder, _, _ = run
     evolve(CONFIG, tmp_path, evaluator=LocalEvaluator(1))
     assert load(folder).table().equals(load(tmp_path).table())
     assert (folder / "best.json").read_bytes() == (tmp_path / "best.json").read_bytes()
 
 
-def test_progress_goes_to_the_error_stream_and_the_result_to_the_output(run):
+def test_progress_is_printed_on_stderr_and_the_result_on_stdout(run):
     folder, out, err = run
     generation, ending = err.splitlines()
     assert generation.startswith("generation   0  best ")
@@ -125,14 +125,13 @@ def test_progress_goes_to_the_error_stream_and_the_result_to_the_output(run):
     ]  # fmt: skip
 
 
-def test_brackets_in_a_folders_name_are_no_markup(elsewhere, capsys):
-    # A folder's name is printed as it is when the run leaves no robot, "[/x]" and all.
+def test_brackets_in_a_folder_name_are_printed_literally(elsewhere, capsys):
     assert cli.main([*FLAGS, *BROKEN, "--out", "a[red]b[/x]"]) == 0
-    said = capsys.readouterr()
-    assert "a[red]b[/x]" in (said.err + said.out).replace("\n", "")
+    captured = capsys.readouterr()
+    assert "a[red]b[/x]" in (captured.err + captured.out).replace("\n", "")
 
 
-def test_runs_without_a_name_get_folders_of_their_own(elsewhere):
+def test_runs_without_out_get_separate_folders(elsewhere):
     (elsewhere / "runs" / "ga-uniform-seed4").mkdir(parents=True)
     for _ in range(2):
         assert cli.main([*FLAGS, *BROKEN, "--prior", "uniform", "--seed", "4"]) == 0
@@ -140,14 +139,14 @@ def test_runs_without_a_name_get_folders_of_their_own(elsewhere):
     assert names == ["ga-uniform-seed4", "ga-uniform-seed4-2", "ga-uniform-seed4-3"]
 
 
-def test_robots_that_all_fail_end_in_a_sentence(elsewhere, capsys):
+def test_run_without_a_best_robot_is_reported(elsewhere, capsys):
     assert cli.main([*FLAGS, *BROKEN, "--out", "run"]) == 0
-    said = capsys.readouterr()
-    assert "3 diverged" in said.err
-    assert "best: none, no robot crawled forwards without failing" in said.out
+    captured = capsys.readouterr()
+    assert "3 diverged" in captured.err
+    assert "best: none, no robot crawled forwards without failing" in captured.out
 
 
-def test_a_line_tells_failures_progress_and_the_time_left_without_replayed_generations():
+def test_progress_line_excludes_replayed_generations_from_the_time_left():
     config = RunConfig(generations=4, ga=GaConfig(population=4, hall_of_fame=1))  # 4 + 3 + 3 + 3
     output = io.StringIO()
     with Reporter(config, Console(file=output, width=200)) as reporter:
@@ -163,7 +162,7 @@ def test_a_line_tells_failures_progress_and_the_time_left_without_replayed_gener
 
 
 @pytest.mark.parametrize("budget_s", [None, 420.0])
-def test_the_share_done_only_grows(budget_s):
+def test_share_done_never_decreases(budget_s):
     config = RunConfig(generations=3, budget_s=budget_s, ga=GaConfig(population=4, hall_of_fame=1))
     console = Console(file=io.StringIO(), force_terminal=True, width=120)
     done = []
@@ -178,7 +177,7 @@ def test_the_share_done_only_grows(budget_s):
     assert done[-1] == pytest.approx(1.0)
 
 
-def test_a_film_is_made_unless_there_is_one_of_this_robot(run, monkeypatch):
+def test_video_is_written_unless_it_already_shows_the_best_robot(run, monkeypatch):
     history, made = load(run[0]), []
     path, console = history.folder / "best.mp4", Console(file=io.StringIO())
     monkeypatch.setattr(running, "film", lambda *arguments: made.append(arguments))
@@ -199,7 +198,7 @@ def test_a_film_is_made_unless_there_is_one_of_this_robot(run, monkeypatch):
 # resume
 
 
-def test_resume_goes_on_and_can_make_a_run_longer(run, elsewhere, capsys):
+def test_resume_can_make_a_run_longer(run, elsewhere, capsys):
     assert cli.main([*FLAGS, "--seed", "4", "--out", "short"]) == 0
     assert cli.main(["resume", "short", "--generations", "2", "--no-video"]) == 0
     assert cli.main([*FLAGS, "--seed", "4", "--generations", "2", "--out", "long"]) == 0
@@ -214,17 +213,17 @@ def test_resume_goes_on_and_can_make_a_run_longer(run, elsewhere, capsys):
     ).read_bytes()
 
 
-def test_a_finished_run_is_not_run_again(run, tmp_path, capsys):
+def test_resume_does_not_repeat_a_finished_run(run, tmp_path, capsys):
     shutil.copytree(run[0], tmp_path / "run")
     before = {p.name: p.read_bytes() for p in (tmp_path / "run").iterdir()}
     assert cli.main(["resume", str(tmp_path / "run")]) == 0
-    said = capsys.readouterr()
-    assert said.err == "already finished: all 1 generations are complete\n"
-    assert f"caterpillar resume {tmp_path / 'run'} --generations 2" in said.out
+    captured = capsys.readouterr()
+    assert captured.err == "already finished: all 1 generations are complete\n"
+    assert f"caterpillar resume {tmp_path / 'run'} --generations 2" in captured.out
     assert {p.name: p.read_bytes() for p in (tmp_path / "run").iterdir()} == before
 
 
-def test_resume_mends_a_damaged_journal_when_asked(elsewhere, capsys):
+def test_resume_repairs_a_damaged_journal_on_request(elsewhere, capsys):
     assert cli.main([*FLAGS, "--seed", "4", "--generations", "3", "--out", "run"]) == 0
     before = load(elsewhere / "run").table()
     with contextlib.closing(sqlite3.connect(elsewhere / "run" / FILE)) as db, db:
@@ -248,7 +247,7 @@ def test_resume_mends_a_damaged_journal_when_asked(elsewhere, capsys):
         (["run", "--evaluator", "cloud"], "--evaluator"),
     ],
 )
-def test_wrong_input_of_resume_is_named(elsewhere, capsys, arguments, message):
+def test_resume_names_wrong_input(elsewhere, capsys, arguments, message):
     assert cli.main(["resume", *arguments]) in (1, 2)
     assert message.lower() in capsys.readouterr().err.lower()
 
@@ -256,7 +255,7 @@ def test_wrong_input_of_resume_is_named(elsewhere, capsys, arguments, message):
 # preprocess
 
 
-def test_preprocess_prints_the_paper_as_json(elsewhere, capsys):
+def test_preprocess_prints_table_i_as_json(elsewhere, capsys):
     assert cli.main(["preprocess", "--json"]) == 0
     table = {row["gene"]: row for row in json.loads(capsys.readouterr().out)}
     assert len(table) == 20
@@ -270,8 +269,8 @@ def test_preprocess_prints_the_paper_as_json(elsewhere, capsys):
 def test_preprocess_prints_a_table_with_every_gene(elsewhere, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     assert cli.main(["preprocess", "--num-segments", "2", "--out", "d.png"]) == 0
-    said = capsys.readouterr()
+    captured = capsys.readouterr()
     for name in ("leg separation", "segment mass", "gap1 ventral off", "8 to 24 mm", "contradiction"):
-        assert name in said.out
-    assert "d.png" in said.err
+        assert name in captured.out
+    assert "d.png" in captured.err
     assert (elsewhere / "d.png").exists()

@@ -1,4 +1,4 @@
-"""`caterpillar doctor` reports what works, and how to fix what does not."""
+"""`caterpillar doctor` reports what works, and how to fix the rest."""
 
 import json
 
@@ -12,7 +12,7 @@ from evolution.cli.doctor import Finding
 
 @pytest.fixture
 def broken(monkeypatch):
-    """Takes functions to fail in: each is a check that a process of its own makes."""
+    """A set of functions that fail in their separate processes."""
     functions = set()
 
     def check(name, function, otherwise):
@@ -46,7 +46,7 @@ def test_missing_and_old_packages_are_named():
     assert found.remedy == "pip install 'caterpillar-sma'"
 
 
-def test_an_incomplete_extra_is_no_failure():
+def test_incomplete_extra_is_a_note():
     found = doctor.check_requirements("far", [Requirement("numpy"), Requirement("no-such-thing")])
     assert found == Finding(
         "extra far", "note", "no-such-thing is missing", "pip install 'caterpillar-sma[far]'"
@@ -54,7 +54,7 @@ def test_an_incomplete_extra_is_no_failure():
     assert doctor.check_requirements("near", [Requirement("numpy")]).status == "ok"
 
 
-# Checks in a process of their own
+# Checks in separate processes
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_an_incomplete_extra_is_no_failure():
     ],
     ids=["crash", "error", "exit", "timeout"],
 )
-def test_a_failure_of_the_other_process_is_a_finding(monkeypatch, tmp_path, body, problem):
+def test_failure_of_the_separate_process_is_a_finding(monkeypatch, tmp_path, body, problem):
     # The process imports a module `doctor` that is first on its path, instead of the real one.
     (tmp_path / "evolution" / "cli").mkdir(parents=True)
     (tmp_path / "evolution" / "cli" / "doctor.py").write_text(
@@ -79,7 +79,7 @@ def test_a_failure_of_the_other_process_is_a_finding(monkeypatch, tmp_path, body
     assert doctor.check_isolated("drawing", "draw_frame", "note") == Finding("drawing", "note", problem)
 
 
-def test_an_unusable_backend_is_to_be_unset(monkeypatch):
+def test_remedy_for_an_unusable_backend_is_to_unset_it(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "bogus")
     found = doctor.check_isolated("drawing", "draw_frame", "note")
     assert found.status == "note"
@@ -90,7 +90,7 @@ def test_an_unusable_backend_is_to_be_unset(monkeypatch):
 # caterpillar doctor
 
 
-def test_the_status_is_1_only_if_something_that_every_run_needs_fails(broken, capsys):
+def test_status_is_1_only_if_a_required_check_fails(broken, capsys):
     assert cli.main(["doctor"]) == 0
     assert "\nEverything that a run needs works." in capsys.readouterr().out
     broken |= {"draw_frame", "find_ffmpeg"}
@@ -98,9 +98,9 @@ def test_the_status_is_1_only_if_something_that_every_run_needs_fails(broken, ca
     assert "--  drawing            crashed with SIGSEGV" in capsys.readouterr().out
     broken.add("measure_speed")
     assert cli.main(["doctor"]) == 1
-    said = capsys.readouterr().out
-    assert "NO  simulation" in said
-    assert "Not everything that a run needs works." in said
+    captured = capsys.readouterr().out
+    assert "NO  simulation" in captured
+    assert "Not everything that a run needs works." in captured
 
 
 def test_json_has_all_findings(broken, capsys):
@@ -116,6 +116,6 @@ def test_json_has_all_findings(broken, capsys):
 @pytest.mark.slow
 def test_this_machine_passes(capsys):
     assert cli.main(["doctor"]) == 0
-    said = capsys.readouterr().out
-    assert "drew a frame" in said
-    assert "simulated seconds per second; the paper's run of 9,510 evaluations takes at most" in said
+    captured = capsys.readouterr().out
+    assert "drew a frame" in captured
+    assert "simulated seconds per second; the paper's run of 9,510 evaluations takes at most" in captured

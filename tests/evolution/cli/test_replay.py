@@ -50,45 +50,45 @@ def run(tmp_path_factory):
 # One robot
 
 
-def test_replay_tells_how_far_off_the_record_is(still, capsys):
+def test_replay_prints_the_difference_from_the_record(still, capsys):
     assert cli.main(["replay", "still.json", "--no-video"]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("fitness ")
-    assert "0.0 J" in said
-    assert "% of the recorded 0.02 m" in said
+    captured = capsys.readouterr().out
+    assert captured.startswith("fitness ")
+    assert "0.0 J" in captured
+    assert "% of the recorded 0.02 m" in captured
 
 
-def test_replay_without_a_record_says_so(still, here, capsys):
+def test_replay_without_a_record_compares_with_nothing(still, here, capsys):
     Robot(still.morphology, still.timings, still.physics).save(here / "still.json")
     assert cli.main(["replay", "still.json", "--no-video", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["recorded_fitness_m"] is None
-    assert said["identical"] is False
+    captured = json.loads(capsys.readouterr().out)
+    assert captured["recorded_fitness_m"] is None
+    assert captured["identical"] is False
     assert [p.name for p in here.iterdir()] == ["still.json"]
 
 
-def test_replay_makes_a_video_beside_the_record(still, here, capsys):
+def test_replay_writes_a_video_beside_the_record(still, here, capsys):
     assert cli.main(["replay", "still.json", *SMALL]) == 0
     assert "writing replay.mp4" in capsys.readouterr().err
     assert sorted(p.name for p in here.iterdir()) == ["replay.mp4", "still.json"]
 
 
 @pytest.mark.parametrize("camera", ["side", "top"])
-def test_video_is_named_and_seen_as_asked(still, here, camera):
+def test_video_uses_the_given_file_and_camera(still, here, camera):
     assert cli.main(["replay", "still.json", *SMALL, "--camera", camera, "--out", f"{camera}.gif"]) == 0
     assert (here / f"{camera}.gif").read_bytes().startswith(b"GIF89a")
 
 
-def test_machine_that_cannot_draw_still_compares(still, here, capsys, monkeypatch):
+def test_replay_compares_on_a_machine_that_cannot_draw(still, here, capsys, monkeypatch):
     monkeypatch.setattr(rendering, "unavailable", "no device")
     assert cli.main(["replay", "still.json", *SMALL]) == 0
-    said = capsys.readouterr()
-    assert "recorded 0.02 m" in said.out
-    assert "no video: cannot draw (no device); install EGL" in said.err
+    captured = capsys.readouterr()
+    assert "recorded 0.02 m" in captured.out
+    assert "no video: cannot draw (no device); install EGL" in captured.err
     assert cli.main(["replay", "still.json", *SMALL, "--out", "asked.mp4"]) == 1
-    said = capsys.readouterr()
-    assert "recorded 0.02 m" in said.out
-    assert "replay: error: cannot draw (no device)" in said.err
+    captured = capsys.readouterr()
+    assert "recorded 0.02 m" in captured.out
+    assert "replay: error: cannot draw (no device)" in captured.err
     assert [p.name for p in here.iterdir()] == ["still.json"]
 
 
@@ -96,46 +96,46 @@ def test_machine_that_cannot_draw_still_compares(still, here, capsys, monkeypatc
 
 
 @pytest.mark.slow
-def test_several_robots_are_told_by_name_and_shown_in_one_video(still, run, here, capsys):
+def test_several_robots_are_listed_by_name_and_shown_in_one_video(still, run, here, capsys):
     assert cli.main(["replay", "still.json", str(run), *SMALL]) == 0
-    said = capsys.readouterr()
-    still_line, run_line = said.out.splitlines()
+    captured = capsys.readouterr()
+    still_line, run_line = captured.out.splitlines()
     assert still_line.startswith("still: fitness ")
     assert run_line.startswith("run: fitness ")
     assert run_line.endswith("identical to the record")
     assert sorted(p.name for p in here.iterdir()) == ["replay.mp4", "still.json"]
 
 
-def test_robots_of_the_same_name_are_told_apart_by_their_paths(still, here, capsys):
+def test_robots_with_the_same_name_are_titled_by_their_paths(still, here, capsys):
     (here / "other").mkdir()
     still.save(here / "other" / "still.json")
     arguments = ["replay", "still.json", "other/still.json", "--no-video", "--json"]
     assert cli.main(arguments) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert [one["title"] for one in said] == ["still.json", "other/still.json"]
-    assert said[0]["fitness_m"] == said[1]["fitness_m"]
+    captured = json.loads(capsys.readouterr().out)
+    assert [one["title"] for one in captured] == ["still.json", "other/still.json"]
+    assert captured[0]["fitness_m"] == captured[1]["fitness_m"]
 
 
 # Generations
 
 
-def test_film_shows_the_best_of_generations_and_the_last_for_later_ones(run, capsys):
+def test_film_shows_the_last_generation_instead_of_later_ones(run, capsys):
     assert cli.main(["replay", str(run), "--generations", "0", "2", "10", "50", *SMALL]) == 0
-    said = capsys.readouterr()
-    first, last = said.out.splitlines()
+    captured = capsys.readouterr()
+    first, last = captured.out.splitlines()
     assert first.startswith("generation 0: fitness ")
     assert last.startswith("generation 2: fitness ")
-    assert "run is 2; showing it instead of later ones" in said.err
+    assert "run is 2; showing it instead of later ones" in captured.err
     (run / "film.mp4").unlink()
 
 
-def test_last_generation_shows_the_best_of_the_run_which_one_bit_less_is_not(run, here, capsys):
+def test_last_generation_shows_the_best_robot_of_the_run(run, here, capsys):
     arguments = ["replay", str(run), "--generations", "2", "--no-video", "--json"]
     assert cli.main(arguments) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["identical"] is True
+    captured = json.loads(capsys.readouterr().out)
+    assert captured["identical"] is True
     best = Robot.load(run)
-    assert said["fitness_m"] == best.fitness_m
+    assert captured["fitness_m"] == best.fitness_m
     near_m = float(np.nextafter(best.fitness_m, 1.0))
     replace(best, fitness_m=near_m).save(here / "near.json")
     assert cli.main(["replay", "near.json", "--no-video"]) == 0
@@ -161,13 +161,13 @@ def test_last_generation_shows_the_best_of_the_run_which_one_bit_less_is_not(run
         (["still.json", "--out", "nowhere/robot.mp4"], "cannot write nowhere/robot.mp4"),
     ],
 )
-def test_errors_name_what_was_wrong(arguments, hint, still, here, capsys):
+def test_errors_name_the_wrong_input(arguments, hint, still, here, capsys):
     try:
         status = cli.main(["replay", *arguments])
     except SystemExit as stop:
         status = stop.code
-    said = capsys.readouterr().err
+    captured = capsys.readouterr().err
     assert status in (1, 2)
-    assert hint in said
-    assert "Traceback" not in said
+    assert hint in captured
+    assert "Traceback" not in captured
     assert [p.name for p in here.iterdir()] == ["still.json"]

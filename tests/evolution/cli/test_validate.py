@@ -13,7 +13,7 @@ PLOTS = ("sma.png", "timestep.png")
 
 
 @pytest.mark.slow
-def test_quick_validation_passes_and_leaves_its_plots(tmp_path, capsys):
+def test_quick_validation_passes_and_writes_plots(tmp_path, capsys):
     status = cli.main(["validate", "--quick", "--json", "--out", str(tmp_path / "v")])
     data = json.loads(capsys.readouterr().out)
     failed = [check for found in data.values() for check in found if not check["passed"]]
@@ -65,7 +65,7 @@ def test_all_passing_is_status_0(tmp_path, capsys, monkeypatch):
     assert "FAIL" not in capsys.readouterr().out
 
 
-def test_a_file_in_the_way_of_the_folder_is_told(tmp_path, capsys):
+def test_file_at_the_path_of_the_folder_is_an_error(tmp_path, capsys):
     (tmp_path / "v").write_text("")
     assert cli.main(["validate", "--quick", "--out", str(tmp_path / "v")]) != 0
     assert "choose another place with --out" in " ".join(capsys.readouterr().err.split())

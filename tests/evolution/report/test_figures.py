@@ -1,4 +1,4 @@
-"""Figures are drawn from every kind of record, into the file that was asked for."""
+"""Figures of all kinds of runs and robots, and the files that they are saved to."""
 
 import re
 
@@ -34,7 +34,7 @@ def individual(num_segments=4, on_s=0.0, off_s=PERIOD_S / 2):
 
 
 def picture(path):
-    """The pixels, once it is sure that something is drawn."""
+    """Return the pixels after checking that something is drawn."""
     pixels = imread(path)
     assert path.read_bytes().startswith(b"\x89PNG")
     assert pixels.shape[0] > 100
@@ -52,14 +52,14 @@ def picture(path):
         [generation(0, 0.0, 0.0, diverged=10), generation(1, 0.0, 0.0, diverged=10)],
         [generation(n, 0.01 + 0.001 * n, 0.005, tipped=3, veered=n) for n in range(20)],
     ],
-    ids=["one generation", "nobody moves", "everybody fails", "usual"],
+    ids=["one generation", "no robot moves", "all robots fail", "usual"],
 )
 def test_convergence_is_drawn(history, tmp_path):
     figures.save(figures.convergence(history, "a run"), tmp_path / "convergence.png")
     picture(tmp_path / "convergence.png")
 
 
-def test_convergence_shows_millimetres_and_failures_one_upon_another():
+def test_convergence_shows_millimetres_and_stacked_failures():
     history = [generation(0, 0.01, 0.004, tipped=3), generation(1, 0.02, 0.005, tipped=2, veered=4)]
     upper, lower = figures.convergence(history, "").axes
     best, mean = (line.get_xydata().tolist() for line in upper.lines)
@@ -85,7 +85,7 @@ def test_densities_of_all_genes_are_drawn(tmp_path):
     picture(tmp_path / "densities.png")
 
 
-def test_a_figure_in_a_page_is_the_same_each_time_and_asks_for_nothing():
+def test_inline_svg_is_deterministic_and_self_contained():
     drawn = [figures.inline_svg(figures.gait(individual(2)), "gait") for _ in range(2)]
     assert drawn[0] == drawn[1]
     assert drawn[0].startswith("<svg")

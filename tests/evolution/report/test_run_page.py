@@ -1,4 +1,4 @@
-"""A run's page tells what its folder holds, whatever became of the run, and needs nothing else."""
+"""The page of a run: numbers, commands and videos, for finished, stopped and failed runs."""
 
 import base64
 import re
@@ -42,7 +42,7 @@ COLOURS = """() => {
 
 
 class Fixed:
-    """An optimizer of the user's own, which asks for the same genomes again and again."""
+    """A custom optimizer that always asks for the same genomes."""
 
     def ask(self):
         return np.random.default_rng(4).random((3, 12))
@@ -57,19 +57,19 @@ def ran(folder, config=SHORT, **kwargs):
 
 
 def read_page(folder):
-    """The page without its figures, which take the time."""
+    """Render the page without its figures, which are slow."""
     return run_page.page(load(folder), {})
 
 
 def number(page, name):
-    """What a figure on the page is exactly."""
+    """Return the exact value of a number on the page."""
     (value,) = re.findall(rf'<data id="{name}" value="([^"]*)">', page)
     return float(value)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A run with a page and something for a video."""
+    """The folder of a run with a page, without a video."""
     folder = tmp_path_factory.mktemp("report") / "a <run> & more"
     evolve(CONFIG, folder, evaluator=LocalEvaluator(1))
     run_page.write(load(folder))
@@ -81,7 +81,7 @@ def page(folder):
     return (folder / run_page.PAGE).read_text("utf-8")
 
 
-def test_figures_are_those_of_best_json_and_the_journal(folder, page):
+def test_numbers_match_best_json_and_the_journal(folder, page):
     best, rows = Robot.load(folder), load(folder).table()
     row = rows.row(int(number(page, "best-evaluation")), named=True)
     assert number(page, "best-m") == best.fitness_m == row["distance_m"]
@@ -93,13 +93,13 @@ def test_figures_are_those_of_best_json_and_the_journal(folder, page):
     assert number(page, "simulated-s") == pytest.approx(rows["simulated_s"].sum(), rel=1e-12)
 
 
-def test_genes_are_those_of_the_best_robot_between_its_bounds(folder, page):
+def test_genes_of_the_best_robot_are_shown_between_their_bounds(folder, page):
     record = load(folder)
     rows = run_page.gene_rows(record)
-    said = load(folder).table().row(record.best.number, named=True)
+    row_values = load(folder).table().row(record.best.number, named=True)
     for row, gene in zip(rows, CONFIG.encoding.genes, strict=True):
         factor = {"m": 1e3, "kg": 1e3, "rad": 180 / np.pi, "s": 1.0}[gene.unit]
-        assert row.value == pytest.approx(factor * said[gene.name], rel=1e-12)
+        assert row.value == pytest.approx(factor * row_values[gene.name], rel=1e-12)
         assert row.lower <= row.value <= row.upper
         share = (row.value - row.lower) / (row.upper - row.lower)
         assert row.percent(row.value) == pytest.approx(100 * share)
@@ -113,37 +113,37 @@ def test_genes_are_those_of_the_best_robot_between_its_bounds(folder, page):
     assert by_title["joint limit"].unit == "°"
 
 
-def test_page_is_the_same_each_time(folder, page):
+def test_page_is_deterministic(folder, page):
     figures = [(folder / name).read_bytes() for name in ("convergence.png", "gait.png")]
     assert run_page.write(load(folder)).read_text("utf-8") == page
     assert [(folder / name).read_bytes() for name in ("convergence.png", "gait.png")] == figures
 
 
-def test_page_asks_for_nothing(page):
+def test_page_loads_no_external_resources(page):
     assert not re.findall(r'(?:src|href)="(?!data:|#)[^"]*"', page)
     assert "@import" not in page
     assert "url(" not in page.replace("url(#", "")
 
 
-def test_names_are_text_and_commands_can_be_pasted(page):
+def test_names_are_escaped_in_html_and_in_commands(page):
     assert "<title>a &lt;run&gt; &amp; more: " in page
     assert "<run>" not in page
     assert "caterpillar replay 'a <run> & more' " in unescape(page)
 
 
-def test_what_was_asked_is_told_where_it_is_not_the_default(folder):
+def test_settings_that_differ_from_the_defaults_are_listed(folder):
     with Journal(folder, read_only=True) as journal:
-        said = {
+        changed = {
             name: (value, default) for name, value, default in run_page.changed(journal.configuration)
         }
-    assert said == {
+    assert changed == {
         "seed": ("4", "0"), "generations": ("2", "50"), "ga.population": ("3", "200"),
         "ga.hall_of_fame": ("1", "10"), "physics.num_segments": ("2", "4"),
         "physics.timestep_s": ("0.01", "0.0025"), "physics.friction": ("0.7", "0.8"),
     }  # fmt: skip
 
 
-def test_versions_and_machine_of_the_sessions_are_told(folder, page):
+def test_versions_and_machine_of_each_session_are_shown(folder, page):
     with Journal(folder, read_only=True) as journal:
         (session,) = journal.sessions
     for name, value in session.fingerprint.items():
@@ -151,7 +151,7 @@ def test_versions_and_machine_of_the_sessions_are_told(folder, page):
     assert f"{session.wall_s:.0f} s" in page
 
 
-def test_video_is_in_the_page_if_it_is_of_the_best_robot(folder, monkeypatch):
+def test_video_is_embedded_if_it_shows_the_best_robot(folder, monkeypatch):
     film = folder / "best.mp4"
     monkeypatch.setattr(run_page, "is_video_of", lambda path, robot: path.read_bytes()[:2] == b"it")
     assert "There is no best.mp4" in read_page(folder)
@@ -172,7 +172,7 @@ def test_video_is_in_the_page_if_it_is_of_the_best_robot(folder, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("config", "said"),
+    ("config", "text"),
     [
         (replace(SHORT, optimizer="cma-es", cma=CmaConfig(cma_population=4)), "CMA-ES uses the prior"),
         (replace(SHORT, optimizer="random", prior="uniform"), "random search on uniform"),
@@ -184,9 +184,9 @@ def test_video_is_in_the_page_if_it_is_of_the_best_robot(folder, monkeypatch):
     ],
     ids=["cma-es", "random", "full", "per-segment", "mutation-only", "energy", "budget"],
 )
-def test_runs_of_every_kind_have_a_page(config, said, tmp_path):
+def test_runs_of_every_kind_have_a_page(config, text, tmp_path):
     page = ran(tmp_path / "run", config)
-    assert said in page
+    assert text in page
     assert number(page, "best-m") == Robot.load(tmp_path / "run").fitness_m
     assert page.count('<svg class="bar"') == len(config.encoding.genes)
 
@@ -194,7 +194,7 @@ def test_runs_of_every_kind_have_a_page(config, said, tmp_path):
 @pytest.mark.parametrize(
     ("prior", "peaks"), [("uniform", 0), ("preprocessed", 6), ("init-only", 6), ("mutation-only", 6)]
 )
-def test_priors_are_told_wherever_they_are_used_and_uniform_ones_as_uniform(folder, prior, peaks):
+def test_genes_show_the_prior_that_the_run_uses(folder, prior, peaks):
     history = load(folder)
     history.configuration["prior"] = prior
     rows = run_page.gene_rows(history)
@@ -202,14 +202,14 @@ def test_priors_are_told_wherever_they_are_used_and_uniform_ones_as_uniform(fold
     assert all((row.peak is None) == (row.width is None) for row in rows)
 
 
-def test_run_of_an_optimizer_of_ones_own_is_named_after_it(tmp_path):
+def test_page_names_a_custom_optimizer(tmp_path):
     page = ran(tmp_path / "run", optimizer=Fixed())
     assert "the user's own optimizer Fixed, " in unescape(page)
     assert "caterpillar resume" not in page
     assert "may not use the prior" in page
 
 
-def test_run_in_which_all_failed_says_why(tmp_path):
+def test_page_of_a_run_without_a_best_robot_lists_the_failures(tmp_path):
     page = ran(tmp_path / "run", replace(SHORT, physics=BREAKS))
     assert "no robot crawled forwards without failing" in page
     assert "<tr><td>diverged<td>3<td>100.0 %</tr>" in page
@@ -218,7 +218,7 @@ def test_run_in_which_all_failed_says_why(tmp_path):
 
 
 def stop_after(count):
-    """A function to call with each generation that stops the run after so many."""
+    """Return a callback that stops the run after `count` generations."""
 
     def stop(generation):
         if generation.number + 1 == count:
@@ -227,7 +227,7 @@ def stop_after(count):
     return stop
 
 
-def test_run_that_was_stopped_says_how_it_goes_on(tmp_path):
+def test_page_of_a_stopped_run_shows_how_to_resume(tmp_path):
     page = ran(tmp_path / "run", CONFIG, on_generation=stop_after(1))
     assert "Not finished: " in page
     assert "caterpillar resume run " in page
@@ -238,8 +238,8 @@ def test_run_that_was_stopped_says_how_it_goes_on(tmp_path):
     assert number(page, "best-m") == Robot.load(tmp_path / "run").fitness_m
 
 
-def test_an_incomplete_generation_is_in_no_figure(tmp_path):
-    """A chunk of evaluations of the next generation, with a better robot than the best so far."""
+def test_incomplete_generation_is_excluded_from_the_figures(tmp_path):
+    """The incomplete generation contains the best robot."""
     evolve(CONFIG, tmp_path, evaluator=LocalEvaluator(1), on_generation=stop_after(2))
     with Journal(tmp_path) as journal:
         first = next(journal.evaluations())
@@ -251,7 +251,7 @@ def test_an_incomplete_generation_is_in_no_figure(tmp_path):
     assert number(page, "evaluations") == 55
 
 
-def test_run_that_has_only_begun_has_a_page(tmp_path):
+def test_run_without_evaluations_has_a_page(tmp_path):
     with Journal.create(tmp_path, {**CONFIG.to_dict(), "own_optimizer": None}) as journal:
         journal.begin()
     page = read_page(tmp_path)
@@ -262,16 +262,16 @@ def test_run_that_has_only_begun_has_a_page(tmp_path):
 # caterpillar report
 
 
-def test_report_makes_the_page_of_a_run_anew(folder, tmp_path, capsys):
+def test_report_rewrites_the_page_of_a_run(folder, tmp_path, capsys):
     shutil.copytree(folder, tmp_path / "run")
     made = [tmp_path / "run" / name for name in ("report.html", "gait.png", "convergence.png")]
     for path in made:
         path.unlink()
     assert cli.main(["report", str(tmp_path / "run"), "--no-video"]) == 0
-    said = capsys.readouterr()
-    assert said.out.startswith("best: ")
-    assert f"\npage: {tmp_path / 'run' / 'report.html'}\n" in said.out
-    assert said.err == ""
+    captured = capsys.readouterr()
+    assert captured.out.startswith("best: ")
+    assert f"\npage: {tmp_path / 'run' / 'report.html'}\n" in captured.out
+    assert captured.err == ""
     assert {"report.html", "gait.png", "convergence.png"} <= {
         p.name for p in (tmp_path / "run").iterdir()
     }
@@ -289,7 +289,7 @@ def test_report_makes_the_page_of_a_run_anew(folder, tmp_path, capsys):
     ],
     ids=["no journal", "damaged journal", "unwritable"],
 )
-def test_folders_without_a_report_are_answered_in_one_line(folder, tmp_path, capsys, spoil, message):
+def test_report_errors_are_one_line(folder, tmp_path, capsys, spoil, message):
     shutil.copytree(folder, tmp_path / "run")
     (tmp_path / "run" / "report.html").unlink()
     spoil(tmp_path / "run")
@@ -335,9 +335,7 @@ def test_browser_shows_the_page_without_errors_or_requests(browser, filmed, widt
     assert complaints == []
     assert [url for url in asked if not url.startswith("data:")] == [address]
     assert wide <= width_px  # only tables scroll sideways
-    assert film_s == pytest.approx(
-        1.52, abs=0.1
-    )  # half a second, and one in which the last picture stays
+    assert film_s == pytest.approx(1.52, abs=0.1)  # half a second, then 1 s of the last frame
     dark = {"paper": "rgb(20, 20, 20)", "text": "rgb(232, 232, 232)", "axis": "rgb(232, 232, 232)"}
     light = {"paper": "rgb(255, 255, 255)", "text": "rgb(27, 27, 27)", "axis": "rgb(27, 27, 27)"}
     assert colours == (dark if scheme == "dark" else light)

@@ -1,4 +1,4 @@
-"""What a run tells TensorBoard, read back with TensorBoard's own reader."""
+"""TensorBoard logs of runs, read with TensorBoard's own reader."""
 
 import sys
 
@@ -17,7 +17,7 @@ FLAGS = [
 
 
 def scalars(folder):
-    """Name to (step, value) of all points."""
+    """Return the (step, value) points of each scalar."""
     reader = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     events = reader.EventAccumulator(str(folder / FOLDER))
     events.Reload()
@@ -25,7 +25,7 @@ def scalars(folder):
 
 
 @pytest.mark.filterwarnings("default")
-def test_a_run_and_its_resumption_are_followed(tmp_path):
+def test_run_and_resumed_run_are_logged(tmp_path):
     run = tmp_path / "run"
     tracked = ["evolve", *FLAGS, "--generations", "2", "--track", "tensorboard", "--out", str(run)]
     assert cli.main(tracked) == 0
@@ -47,7 +47,7 @@ def test_an_untracked_run_leaves_no_log(tmp_path):
     assert not (run / FOLDER).exists()
 
 
-def test_without_tensorboardx_it_says_what_to_install(tmp_path, monkeypatch):
+def test_error_without_tensorboardx_names_the_package(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboardX", None)
     with pytest.raises(CaterpillarError, match=r"pip install 'caterpillar-sma\[tensorboard\]'"):
         TensorBoard(tmp_path)

@@ -144,7 +144,7 @@ def test_summary_of_an_unfinished_study_names_what_is_missing(few_draws):
     assert "pilot runs are not finished" in lines[1]
 
 
-def test_speed_up_is_infinite_if_the_reference_never_arrives(few_draws):
+def test_speed_up_is_infinite_if_no_reference_run_reaches_the_threshold(few_draws):
     table = polars.concat(
         [runs("ga-uniform", [[0.01] * 10] * 4), runs("ga-preprocessed", [ramp(0.01, 0.02)] * 4)]
     )

@@ -77,7 +77,7 @@ def test_pilot_runs_come_first():
         ({"budget_s": 210}, None),  # 4 evaluations and 3 more, 30 s each
     ],
 )
-def test_budget_that_is_too_short_is_warned_of(fields, message):
+def test_budget_that_is_too_short_gives_a_warning(fields, message):
     warnings = StudyConfig.from_dict(changed(**fields)).warnings()
     if message is None:
         assert warnings == []

@@ -112,7 +112,7 @@ def test_runs_with_other_settings_are_rejected(finished, tmp_path):
         collect(other, tmp_path / "copy")
 
 
-def test_table_keeps_runs_whose_folders_are_gone(finished, tmp_path):
+def test_table_keeps_runs_whose_folders_were_deleted(finished, tmp_path):
     shutil.copytree(finished, tmp_path / "copy")
     config = load(finished)
     for cell in config.cells()[1:]:
@@ -176,7 +176,7 @@ def test_thresholds_come_from_the_pilot_seeds_and_never_change(finished):
     )
 
 
-def test_thresholds_are_shares_of_the_pilots_median_and_wait_for_all_of_them(tmp_path):
+def test_thresholds_are_shares_of_the_median_of_all_pilot_runs(tmp_path):
     config = StudyConfig.from_dict(changed(pilot_seeds=[7, 8, 9]))
     ends_m = {0: 0.5, 7: 0.09, 8: 0.01, 9: 0.02}
     rows = [
@@ -190,7 +190,7 @@ def test_thresholds_are_shares_of_the_pilots_median_and_wait_for_all_of_them(tmp
     assert read_thresholds(config, tmp_path, polars.DataFrame(rows)) == [0.01, 0.015, 0.02]
 
 
-def test_pilot_seeds_are_in_no_table(finished):
+def test_pilot_seeds_are_excluded_from_the_tables(finished):
     config = load(finished)
     found = analyse(config, collect(config, finished), [0.001])
     assert {run.seed for runs in found.runs.values() for run in runs} == {0, 1}
@@ -262,7 +262,7 @@ def test_report_can_be_made_again_from_the_table_alone(finished, tmp_path, capsy
     ],
     ids=str,
 )
-def test_wrong_input_is_answered_in_one_line(tmp_path, monkeypatch, capsys, arguments, message):
+def test_errors_for_wrong_input_are_one_line(tmp_path, monkeypatch, capsys, arguments, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "broken.toml").write_text("seeds = [")
     begin(StudyConfig.from_dict(SMALL), tmp_path / "begun")

@@ -58,7 +58,7 @@ def make_run(seed, best_m):
 
 @pytest.fixture
 def study(tmp_path):
-    """Takes best distances by seed; the winners of such a study of one arm."""
+    """Return a function from best distances by seed to the winners of a study with one arm."""
 
     def find(best_m):
         config = StudyConfig({"a": ArtificialArm()}, (0, 1, 2, 3), (9,), 210, reference="a")
