@@ -156,11 +156,7 @@ class TrainedRobot:
         return cls(policy, config, training.body(evaluation), config.physics, evaluation.distance_m)
 
     def simulate(
-        self,
-        timestep_s: float | None = None,
-        *,
-        seed: int | None = None,
-        **kwargs: Any,
+        self, timestep_s: float | None = None, *, seed: int | None = None, **kwargs: Any
     ) -> Outcomes:
         """Run one episode.
 

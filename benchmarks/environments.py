@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import gymnasium
@@ -131,13 +131,16 @@ def single(mode: str, steps: int, repeats: int) -> dict[str, Any]:
     }
 
 
-def _steps(model: mujoco.MjModel, controls: list[Array]) -> Callable[[int], None]:
+def _steps(
+    model: mujoco.MjModel, controls: Sequence[Iterable[Array]], substeps: int = 1
+) -> Callable[[int], None]:
+    """Return the steps of a bare loop over `mj_step`, with `substeps` physics steps per control."""
     data = mujoco.MjData(model)
 
     def step(number: int) -> None:
         for control in controls[number]:
             data.ctrl[:] = control
-            mujoco.mj_step(model, data)
+            mujoco.mj_step(model, data, nstep=substeps)
 
     return step
 
@@ -164,16 +167,9 @@ def ant(steps: int, repeats: int) -> dict[str, Any]:
     """Compare Gymnasium's Ant-v5 with the same steps in a bare loop."""
     env: Any = gymnasium.make("Ant-v5")
     actions = sample_actions(env.action_space, steps)
-    model, skip = env.unwrapped.model, env.unwrapped.frame_skip
 
     def bare() -> Callable[[int], None]:
-        data = mujoco.MjData(model)
-
-        def step(number: int) -> None:
-            data.ctrl[:] = actions[number]
-            mujoco.mj_step(model, data, nstep=skip)
-
-        return step
+        return _steps(env.unwrapped.model, [[action] for action in actions], env.unwrapped.frame_skip)
 
     def ours() -> Callable[[int], None]:
         env.reset(seed=SEED)

@@ -6,7 +6,7 @@ import json
 import platform
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import version
 from typing import Any
 
@@ -30,14 +30,7 @@ def rounds(cases: Mapping[str, Callable[[], float]], repeats: int) -> dict[str, 
 
     The order alternates between rounds, so slow phases of the machine affect all cases equally.
     """
-    costs: dict[str, list[float]] = {name: [] for name in cases}
-    for number in range(repeats):
-        order = list(cases) if number % 2 == 0 else list(cases)[::-1]
-        for name in order:
-            costs[name].append(cases[name]())
-        print(".", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
-    return {name: np.array(values) for name, values in costs.items()}
+    return _repeat(lambda number: {name: cases[name]() for name in _order(cases, number)}, repeats)
 
 
 def turns(
@@ -53,19 +46,31 @@ def turns(
         steps: number of steps.
         repeats: number of repetitions.
     """
-    costs: dict[str, list[float]] = {name: [] for name in cases}
-    for _ in range(repeats):
+
+    def race(_: int) -> dict[str, float]:
         makers = {name: begin() for name, begin in cases.items()}
         spent = dict.fromkeys(makers, 0.0)
         for number in range(steps):
-            order = list(makers) if number % 2 == 0 else list(makers)[::-1]
-            for name in order:
+            for name in _order(makers, number):
                 spent[name] += timed(lambda make=makers[name], i=number: make(i))  # type: ignore[misc]
-        for name, seconds in spent.items():
-            costs[name].append(seconds / steps)
+        return {name: seconds / steps for name, seconds in spent.items()}
+
+    return _repeat(race, repeats)
+
+
+def _order(names: Iterable[str], number: int) -> list[str]:
+    """Return the names, reversed for odd numbers."""
+    return list(names)[:: -1 if number % 2 else 1]
+
+
+def _repeat(measure: Callable[[int], dict[str, float]], repeats: int) -> dict[str, Array]:
+    """Call `measure` with 0, 1, ... and return the values of each case, shape (repeats,)."""
+    results = []
+    for number in range(repeats):
+        results.append(measure(number))
         print(".", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
-    return {name: np.array(values) for name, values in costs.items()}
+    return {name: np.array([costs[name] for costs in results]) for name in results[0]}
 
 
 def spread(values: Array) -> dict[str, float]:

@@ -210,16 +210,8 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
 
 def is_video_of(path: Path, robot: AnyRobot) -> bool:
     """Return whether `write_video` wrote this file for this robot. The metadata contain its digest."""
-    read = [
-        imageio_ffmpeg.get_ffmpeg_exe(),
-        "-loglevel",
-        "quiet",
-        "-i",
-        str(path),
-        "-f",
-        "ffmetadata",
-        "-",
-    ]
+    options = ["-loglevel", "quiet", "-i", str(path), "-f", "ffmetadata", "-"]
+    read = [imageio_ffmpeg.get_ffmpeg_exe(), *options]
     metadata = subprocess.run(read, capture_output=True, text=True, check=False).stdout
     return f"comment={robot.digest}" in metadata.splitlines()
 

@@ -92,13 +92,9 @@ def compare(*, quick: bool) -> Comparison:
     )
     nudged = crawl_for(duration_s, *stack_power(evolved[:SPREAD]), fine, offset_m=1e-6).progress()
     few = stack_robots(evolved[: 4 if quick else INDEPENDENT])
-    return Comparison(
-        coarse_run,
-        fine_run,
-        is_evolved,
-        np.abs(nudged.distance_m - fine_run.distance_m[is_evolved][:SPREAD]),
-        simulate(*few, exact, duration_s=duration_s),
-    )
+    spread_m = np.abs(nudged.distance_m - fine_run.distance_m[is_evolved][:SPREAD])
+    independent = simulate(*few, exact, duration_s=duration_s)
+    return Comparison(coarse_run, fine_run, is_evolved, spread_m, independent)
 
 
 def check_timestep(result: Comparison) -> list[Check]:

@@ -66,10 +66,8 @@ def record(path: Path = FILE) -> None:
         for index, robot in enumerate(robots):
             points, failure = compute_trajectory(robot)
             if np.abs(compute_trajectory(robot, 1e-9)[0] - points).max() < _STEADY_M:
-                name, com_m = f"{kind} {index}", points.tolist()
-                entries.append(
-                    {"name": name, "verdict": failure, "com_m": com_m, "robot": robot.to_dict()}
-                )
+                entry = {"name": f"{kind} {index}", "verdict": failure, "com_m": points.tolist()}
+                entries.append({**entry, "robot": robot.to_dict()})
                 count += 1
             if count == _KINDS[kind]:
                 break

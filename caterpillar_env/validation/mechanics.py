@@ -183,11 +183,7 @@ def check_symmetries(*, quick: bool) -> list[Check]:
     for what, got_mm, intrinsic_mm in (
         ("lateral drift without mismatch", 1000 * np.abs(straight.lateral_m), perfect_mm),
         ("yawed against straight start", distances_mm(straight, turned), perfect_mm),
-        (
-            "mirrored mismatch against mirrored path",
-            distances_mm(left, right, side=-1.0),
-            uneven_mm,
-        ),
+        ("mirrored mismatch against mirrored path", distances_mm(left, right, side=-1.0), uneven_mm),
     ):
         allowed_mm = np.maximum(intrinsic_mm, 1e-3)  # ignore differences below 1 um
         median_mm, limit_mm = float(np.median(got_mm)), float(np.median(allowed_mm))
@@ -247,25 +243,18 @@ def check_failures(healthy: Sequence[Robot]) -> list[Check]:
         mujoco.mju_mulQuat(turn[2], turn[0], turn[1])
         # Turn about the centre of mass.
         middle = com[row, :2]
-        arm = qpos[row, :2] - middle
-        qpos[row, :2] = middle + arm @ np.array(
-            [[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]
-        )
+        rotation = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+        qpos[row, :2] = middle + (qpos[row, :2] - middle) @ rotation
         qpos[row, 2], qpos[row, 3:7] = height, turn[2]
     crawl.simulation.place(qpos)
     crawl.run(np.zeros((len(poses), 10, physics.num_springs)))
-    checks = [
-        check_equal(
-            f"robot placed {name if name != 'ok' else 'upright, 20 degrees off'}", name, label(code)
-        )
-        for name, code in zip(poses, crawl.failure, strict=True)
-    ]
-    checks += _steered()
-    found = [label(code) for code in simulate(*stack_robots(healthy), physics).failure]
-    return [
-        *checks,
-        check_equal(f"outcomes of {len(healthy)} evolved robots", ["ok"], sorted(set(found))),
-    ]
+    checks = []
+    for name, code in zip(poses, crawl.failure, strict=True):
+        words = "upright, 20 degrees off" if name == "ok" else name
+        checks.append(check_equal(f"robot placed {words}", name, label(code)))
+    found = {label(code) for code in simulate(*stack_robots(healthy), physics).failure}
+    evolved = check_equal(f"outcomes of {len(healthy)} evolved robots", ["ok"], sorted(found))
+    return [*checks, *_steered(), evolved]
 
 
 def _steered() -> list[Check]:

@@ -71,9 +71,8 @@ def vary_parameters(robots: Sequence[Robot]) -> tuple[Array, list[Swing]]:
         GaitTimings(factor * timings.period_s, factor * timings.on_s, factor * timings.off_s)
         for factor in (0.8, 1.2)
     )
-    swings.append(
-        Swing("gait period 4 / 6 s, same shares", *(distances_m(physics, pace) for pace in paces))
-    )
+    paced_m = (distances_m(physics, pace) for pace in paces)
+    swings.append(Swing("gait period 4 / 6 s, same shares", *paced_m))
     return distances_m(physics), swings
 
 

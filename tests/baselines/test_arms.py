@@ -1,4 +1,4 @@
-"""Reinforcement learning as an arm of a study, beside the genetic algorithm."""
+"""Reinforcement learning as an arm of a study, next to a genetic algorithm."""
 
 import json
 import shutil

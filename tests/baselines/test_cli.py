@@ -10,7 +10,7 @@ from baselines.policy import TrainedRobot
 from evolution import cli
 
 SMALL = ["--num-segments", "2", "--timestep-s", "0.01", "--mode", "timing", "--evaluations", "2"]
-#: A training whose best policy crawls forwards, though only by 2 mm.
+#: A training run whose best policy crawls 2 mm forwards.
 FORWARDS = ["--timestep-s", "0.01", "--mode", "timing", "--seed", "1", "--budget-s", "200"]
 
 

@@ -20,7 +20,7 @@ SMALL = Physics(num_segments=2, timestep_s=0.01)
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """A training with co-design, and the bodies of the robots in each rollout."""
+    """A training run with co-design, and the bodies of the robots in each rollout."""
     folder = tmp_path_factory.mktemp("codesign") / "run"
     bodies = []
 
@@ -68,7 +68,7 @@ def test_policy_is_evaluated_in_the_current_body(trained):
 
 
 class Env:
-    """Stands for the environment of a training; stores the bodies."""
+    """Fake training environment that stores the bodies."""
 
     def set_options(self, options):
         self.bodies = options["morphology"]
@@ -116,7 +116,7 @@ def test_prior_sets_the_start_of_the_search():
     assert isinstance(first["preprocessed"], Morphology)
 
 
-def test_rollout_of_another_length_than_an_episode_is_rejected():
+def test_rollout_length_must_equal_the_episode_length():
     designs, _ = make_codesign(n_steps=10)
     with pytest.raises(TrainingError, match="n_steps = 10 must be 6"):
         designs.on_rollout_start()

@@ -1,4 +1,4 @@
-"""Comparison of trainings: which ones form a group, and how groups are summarized."""
+"""Grouping, summaries and learning curves of training runs."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from evolution.run.journal import Journal
 
 
 def record(folder, results, **fields):
-    """Record a training with these distances and failures, 100 s apart."""
+    """Record a training run with these distances and failures at intervals of 100 s."""
     folder.mkdir(parents=True)
     config = TrainConfig(**fields)
     with Journal.create(folder, make_configuration(config)) as journal:

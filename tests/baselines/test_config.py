@@ -1,4 +1,4 @@
-"""Configurations of trainings, and hyperparameters in the schema of rl_zoo3."""
+"""Configurations of training runs, and hyperparameters in the schema of rl_zoo3."""
 
 import json
 
@@ -75,7 +75,7 @@ def test_bandit_acts_once_per_episode_and_learns_from_as_many_episodes():
     assert bandit.env_kwargs == {"frame_skip": 6}
     assert bandit.model["n_steps"] * 6 == closed.model["n_steps"]
     assert bandit.model["policy_kwargs"] == closed.model["policy_kwargs"]
-    # No step follows in the episode, so that there is nothing to discount.
+    # The episode has a single step, so there is nothing to discount.
     assert bandit.model["gamma"] == bandit.normalize["gamma"] == 0
     sac = hyperparameters(TrainConfig("sac", "timing", open_loop=True)).model["learning_starts"]
     assert sac == hyperparameters(TrainConfig("sac", "timing")).model["learning_starts"] // 6

@@ -1,4 +1,4 @@
-"""Trainings of small robots: what they record and count, and which budgets they reject."""
+"""Training runs of small robots: records, budgets and errors."""
 
 import json
 import sqlite3
@@ -31,7 +31,7 @@ def outcome(distance_m, failure):
 
 
 def load_weights(folder):
-    """The weights of the last policy."""
+    """Return the weights of the last policy."""
     return Policy.load(folder / "last.zip", config()).actor.policy.state_dict()
 
 
@@ -157,7 +157,7 @@ def test_tensorboard_is_written_on_request(tmp_path):
 
 @pytest.fixture
 def frictions(monkeypatch):
-    """The friction of each robot after each reset of a training."""
+    """Friction of each robot after each reset of a training run."""
     found = []
     reset = training.CaterpillarVecEnv.reset
 
@@ -175,7 +175,7 @@ def test_only_training_is_randomized(tmp_path, frictions):
     plain = train(config(budget_s=150.0), tmp_path / "plain").history.evaluations[0]
     randomized = config(budget_s=150.0, randomize={"friction": (0.2, 0.3)})
     first = train(randomized, tmp_path / "randomized").history.evaluations[0]
-    assert first.distance_m == plain.distance_m  # both are untrained
+    assert first.distance_m == plain.distance_m  # neither policy is trained
     assert 0.2 <= min(frictions[-1]) < max(frictions[-1]) <= 0.3
 
 

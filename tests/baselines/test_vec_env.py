@@ -111,7 +111,7 @@ def test_monitor_and_normalization_wrap_it(env):
     assert np.isfinite(observations).all()
 
 
-def test_each_row_has_a_picture():
+def test_each_row_has_an_image():
     env = CaterpillarVecEnv(ID, 2, physics=SMALL, render_mode="rgb_array", width=64, height=48)
     env.reset()
     assert [frame.shape for frame in env.get_images()] == [(48, 64, 3)] * 2

@@ -1,4 +1,4 @@
-"""Without a display, pictures are drawn with EGL or OSMesa, and importing changes nothing."""
+"""Rendering without a display uses EGL or OSMesa. Importing changes no environment variable."""
 
 import os
 import subprocess
@@ -38,14 +38,14 @@ def test_egl_is_preferred_to_osmesa(found, egl_works, chosen, headless, monkeypa
 
 
 @pytest.mark.parametrize(("name", "chosen"), [("DISPLAY", "glfw"), ("MUJOCO_GL", "mine")])
-def test_a_display_and_the_users_choice_come_first(name, chosen, headless, monkeypatch):
+def test_display_and_environment_variable_take_precedence(name, chosen, headless, monkeypatch):
     monkeypatch.setenv(name, "mine")
     assert backend.choose_backend() == chosen
 
 
 @pytest.mark.drawing
 @pytest.mark.skipif(sys.platform != "linux", reason="EGL exists on Linux only")
-def test_egl_without_a_driver_is_found_not_to_work(headless, monkeypatch):
+def test_egl_without_a_driver_does_not_work(headless, monkeypatch):
     if backend.choose_backend() != "egl":
         pytest.skip("EGL is not installed")
     assert backend._egl_works()
@@ -62,7 +62,7 @@ def run(code):
 
 def test_importing_changes_no_environment_variable():
     run(
-        "import gymnasium, os\n"  # Gymnasium sets a variable of its own
+        "import gymnasium, os\n"  # Gymnasium sets its own variable
         "before = dict(os.environ)\n"
         "import caterpillar_env.env, caterpillar_env.drawing.video\n"
         "assert dict(os.environ) == before"
@@ -70,7 +70,7 @@ def test_importing_changes_no_environment_variable():
 
 
 @pytest.mark.drawing
-def test_pictures_are_drawn_without_a_display_after_importing_mujoco():
+def test_rendering_works_without_a_display_after_importing_mujoco():
     run(
         "import mujoco, caterpillar_env\n"
         "env = caterpillar_env.CaterpillarEnv(render_mode='rgb_array', width=64, height=48)\n"

@@ -24,7 +24,7 @@ def test_springs_are_blue_cold_yellow_warm_and_red_hot():
     assert hot[1:].max() < 0.2
 
 
-def test_colours_blend_between_and_stay_beyond():
+def test_colours_are_interpolated_and_clipped():
     below, cold, half, warm, hot, beyond = spring_rgb(
         SPRING, np.array([10.0, 25.0, (25 + 68) / 2, 68.0, 120.0, 500.0])
     )
@@ -79,7 +79,7 @@ def test_long_title_stays_clear_of_the_legend():
 
 
 @pytest.mark.parametrize("size", [(48, 64), (64, 64), (64, 200), (400, 64)])
-def test_small_pictures_keep_their_size(size):
+def test_small_frames_keep_their_size(size):
     frame = np.zeros((*size, 3), dtype=np.uint8)
     drawn = annotate(frame, PLAIN._replace(title="robot", failure="tipped"), SPRING)
     assert drawn.shape == frame.shape

@@ -40,7 +40,7 @@ def is_picture(frame):
 
 @pytest.fixture(scope="module")
 def renderer():
-    """The renderer of the nominal robot: contexts are slow to make."""
+    """Renderer of the nominal robot, shared because contexts are slow to create."""
     made = RobotRenderer(Morphology(), Physics(), View(WIDTH, HEIGHT))
     yield made
     made.close()
@@ -56,7 +56,7 @@ def draw(renderer, qpos, temperature_c=25.0, readout=None):
 
 
 def count_pixels(picture, rgb):
-    """Number of pixels with the hue of a colour, at any brightness."""
+    """Return the number of pixels with the hue of a colour, at any brightness."""
     wanted = np.array(rgb) / np.max(rgb)
     own = picture / np.maximum(picture.max(axis=2, keepdims=True), 1)
     return int((np.abs(own - wanted).max(axis=2) < 0.12).sum())
@@ -134,7 +134,7 @@ def test_path_keeps_few_points(renderer, start):
 # Rows of a simulation
 
 
-def test_rows_are_drawn_with_the_bodies_and_paths_that_they_have():
+def test_each_row_is_drawn_with_its_body_and_path():
     crawl = Crawl([Morphology(), SMALL], Physics(), 1)
     pictures = Pictures(crawl, View(WIDTH, HEIGHT), overlay=True)
     frames = [pictures.draw(row, "rgb_array") for row in (0, 1)]
@@ -198,7 +198,7 @@ def test_list_holds_a_frame_for_every_control_interval_and_disturbs_nothing():
     env.close()
 
 
-def test_frame_rate_of_single_pictures_is_the_rate_of_steps():
+def test_frame_rate_of_single_frames_is_the_step_rate():
     assert CaterpillarEnv(render_mode="rgb_array", gait_period_s=2.0).metadata["render_fps"] == 0.5
     assert CaterpillarEnv.metadata["render_fps"] == 10  # of the class: untouched
 
@@ -256,7 +256,7 @@ def test_window_needs_a_display(monkeypatch):
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
-def test_every_camera_sees_the_robot_and_none_sees_the_same(camera):
+def test_every_camera_shows_the_robot_differently(camera):
     env = drawing_env("rgb_array", camera_name=camera)
     picture = env.render().astype(int)
     env.close()
@@ -275,7 +275,7 @@ def test_every_camera_sees_the_robot_and_none_sees_the_same(camera):
         ({"height": 4.5}, r"height .* got 4\.5"),
     ],
 )
-def test_impossible_pictures_are_refused_at_once(kind, wrong, match):
+def test_invalid_views_are_rejected_at_once(kind, wrong, match):
     with pytest.raises(RenderingError, match=match):
         kind(render_mode="rgb_array", **wrong)
 
@@ -296,7 +296,7 @@ def test_overlay_is_optional():
     assert np.abs(frame[: HEIGHT // 3].astype(int) - pictures[0][: HEIGHT // 3]).mean() > 20
 
 
-def test_larger_pictures_than_the_models_own_buffer():
+def test_images_can_be_larger_than_the_models_buffer():
     env = CaterpillarEnv(render_mode="rgb_array", width=2000, height=40)
     env.reset(seed=0)
     picture = env.render()
@@ -309,7 +309,7 @@ def test_larger_pictures_than_the_models_own_buffer():
 
 @pytest.fixture
 def broken(monkeypatch):
-    """A machine whose drawing fails; the list of attempts."""
+    """Make rendering fail, and return the list of attempts."""
     tried = []
 
     def fail(*args):
@@ -323,7 +323,7 @@ def broken(monkeypatch):
     rendering.warn_once.cache_clear()
 
 
-def test_all_but_drawing_works_with_one_warning(broken):
+def test_everything_except_rendering_works_with_one_warning(broken):
     action = np.tile([-1.0, 1.0], 6)
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")

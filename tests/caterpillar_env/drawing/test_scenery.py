@@ -37,11 +37,11 @@ def test_whole_body_is_in_view(length_m):
     for camera in range(model.ncam):
         seen = (data.geom_xpos[shells] - data.cam_xpos[camera]) @ data.cam_xmat[camera].reshape(3, 3)
         angle = np.degrees(np.arctan(np.abs(seen[:, :2]) / -seen[:, 2:]))
-        assert angle[:, 0].max() < 25  # of a picture of 4 to 3, half of which is 26 degrees wide
+        assert angle[:, 0].max() < 25  # half the width of a 4:3 image is 26 degrees
         assert angle[:, 1].max() < 20
 
 
-def test_scenery_leaves_the_motion_as_it_is():
+def test_scenery_does_not_change_the_motion():
     ends = []
     for scenery in (True, False):
         model = built(scenery=scenery)
@@ -54,7 +54,7 @@ def test_scenery_leaves_the_motion_as_it_is():
     assert not np.allclose(ends[0], data.model.qpos0)
 
 
-def test_ruler_has_a_tick_a_centimetre_and_is_as_long_as_it_says():
+def test_ruler_has_a_tick_per_centimetre_and_the_right_length():
     width, height, pixels = _ruler_picture()
     picture = np.frombuffer(pixels, dtype=np.uint8).reshape(height, width, 3)
     dark = picture[height // 8, :, 0] < 100  # above the numbers, where all ticks are

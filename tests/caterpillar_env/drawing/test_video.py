@@ -1,4 +1,4 @@
-"""Videos show recorded robots at the same times; a video that fails leaves no file."""
+"""Videos show recorded robots at the same times. A failed video leaves no file."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from caterpillar_env.task import Failure
 
 pytestmark = [
     pytest.mark.drawing,
-    # imageio-ffmpeg does not close the pipes of its readers, nor of writers that failed.
+    # imageio-ffmpeg closes neither the pipes of readers nor those of failed writers.
     pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning"),
 ]
 
@@ -44,7 +44,7 @@ def recording():
 
 @pytest.fixture(scope="module")
 def long_and_failed():
-    """A longer robot whose outcome is changed to: veered after 12 s."""
+    """A longer robot whose outcome is changed to a failure (veered after 12 s)."""
     made = Recording(make_robot(0.036), "long")
     made.outcomes = made.outcomes._replace(failure=np.array([Failure.VEERED], dtype=np.int8))
     for name in ("qpos", "temperature_c", "energy_j"):
@@ -73,7 +73,7 @@ def test_recording_is_the_robot_that_was_evaluated(recording):
 
 @pytest.fixture
 def readouts(monkeypatch):
-    """The readouts that are written on pictures."""
+    """Readouts that are written on frames."""
     written = []
     monkeypatch.setattr(
         rendering, "annotate", lambda frame, readout, spring: written.append(readout) or frame
@@ -85,7 +85,7 @@ def test_readout_has_time_distance_and_energy(recording, readouts):
     with recording.open_view(64, 48, "side", recording.body_length_m) as draw:
         for time_s in (0.0, 12.0, 30.0, 99.0):
             draw(time_s)
-    first, middle, last = readouts  # a robot that stands still is not drawn again
+    first, middle, last = readouts  # a robot at rest is not drawn again
     assert first.time_s == pytest.approx(0.01)
     assert first.distance_m == 0.0
     assert middle.time_s == pytest.approx(12.0)
@@ -124,7 +124,7 @@ def test_robot_that_diverges_is_shown_while_its_pose_is_usable(recording, monkey
 # Videos
 
 
-def test_video_has_the_asked_size_speed_and_a_moving_picture(recording, tmp_path):
+def test_video_has_the_requested_size_and_speed_and_moves(recording, tmp_path):
     write_video([recording], tmp_path / "robot.mp4", QUICK)
     meta, frames = read_frames(tmp_path / "robot.mp4")
     assert meta["size"] == (128, 96)
@@ -144,14 +144,14 @@ def test_gif_repeats_at_the_same_speed_with_few_colours(recording, tmp_path):
         assert image.size == (320, 160)
         assert image.info["loop"] == 0
         first = np.asarray(image.convert("RGB")).astype(int)[:60, 140:].reshape(-1, 3)
-        for rgb in ((40, 100, 235), (250, 215, 50), (235, 35, 25)):  # the legend's, rare as they are
+        for rgb in ((40, 100, 235), (250, 215, 50), (235, 35, 25)):  # rare colours of the legend
             assert np.abs(first - rgb).max(axis=1).min() < 60
         lengths_ms, colours = [], set()
         for frame in range(image.n_frames):
             image.seek(frame)
             lengths_ms.append(image.info["duration"])
             colours |= {colour for _, colour in image.convert("RGB").getcolors(10_000)}
-    # Frames that do not change may be joined to one longer frame.
+    # Identical frames may be merged into one longer frame.
     assert sum(lengths_ms) == pytest.approx((4 + 12) * 80, abs=160)
     assert 20 < len(colours) <= 128
     assert [p.name for p in tmp_path.iterdir()] == ["robot.gif"]
@@ -212,17 +212,17 @@ def test_layout(count, layout):
         ({"height": 10}, "height = 10 must be an even number"),
     ],
 )
-def test_values_out_of_range_are_refused(wrong, match):
+def test_values_out_of_range_are_rejected(wrong, match):
     with pytest.raises(VideoError, match=match):
         VideoConfig(**wrong)
 
 
-def test_too_many_tiles_are_refused():
+def test_too_many_tiles_are_rejected():
     with pytest.raises(VideoError, match="5 robots in 128 x 96 pixels would have tiles smaller than 64"):
         QUICK.layout(5)
 
 
-def test_other_kinds_of_file_are_refused(recording):
+def test_unknown_file_types_are_rejected(recording):
     with pytest.raises(VideoError, match=r"a video must be an \.mp4 or a \.gif file; got robot\.avi"):
         write_video([recording], Path("robot.avi"))
 

@@ -16,5 +16,5 @@ def test_robots_drift_less_at_a_finer_timestep():
     ("energy_j", "share"),
     [([4.0, 3.0, 2.0, 0.0], 0.0), ([4.0, 1.0, 2.0, 0.0], 0.25), ([4.0, 3.0, 5.0, 0.0], 0.5)],
 )
-def test_energy_that_comes_back_is_noticed(energy_j, share):
+def test_regained_energy_is_detected(energy_j, share):
     assert conservation._regained(np.array(energy_j)) == share

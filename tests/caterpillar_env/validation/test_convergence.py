@@ -10,7 +10,7 @@ def outcomes(failure, distance_m):
     return Outcomes(np.array(failure, dtype=np.int8), np.array(distance_m), nothing, nothing)
 
 
-def test_figures_of_a_hand_worked_comparison():
+def test_statistics_match_a_hand_worked_example():
     # Two random robots, three evolved ones; the last fails at the reference only.
     coarse = outcomes([0, 3, 0, 0, 0], [0.010, 0.5, 0.110, 0.180, 0.3])
     fine = outcomes([0, 3, 0, 0, 5], [0.020, 0.1, 0.100, 0.200, 0.3])

@@ -1,4 +1,4 @@
-"""The recorder repeats exactly the steps of the simulation."""
+"""The recorder repeats the steps of the simulation exactly."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from caterpillar_env.validation.recorder import record_calls
 
 @pytest.fixture(scope="module")
 def recording():
-    """Engine calls of three robots, of which a strict threshold stops some; their end; their steps."""
+    """Engine calls, final state and steps of three robots. A strict threshold stops some of them."""
     rng = np.random.default_rng(0)
     bodies = [Morphology(), Morphology(segment_mass_kg=0.012), Morphology()]
     crawl = Crawl(bodies, Physics(), 1, thresholds=Thresholds(veered_lateral_m=1e-4))

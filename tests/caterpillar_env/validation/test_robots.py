@@ -3,7 +3,7 @@ import numpy as np
 from caterpillar_env.validation.robots import evolved_robots, stack_robots
 
 
-def test_each_evolved_robot_is_of_another_run_and_repeats_its_record():
+def test_evolved_robots_come_from_different_runs_and_reproduce_their_fitness():
     robots = evolved_robots()
     assert len(robots) == 32
     assert len({robot.digest for robot in robots}) == len(robots)

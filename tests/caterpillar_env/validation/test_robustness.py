@@ -48,7 +48,7 @@ def test_each_parameter_is_changed_alone_and_plotted(tmp_path):
     assert len(named) == len(swings)
     for swing in swings:
         assert swing.low_m.shape == swing.high_m.shape == (1,)
-        if swing.name != robustness.STOPS:  # robots that never reach a stop do not feel it
+        if swing.name != robustness.STOPS:  # it does not affect robots that never reach a stop
             assert not np.array_equal(swing.low_m, swing.high_m), swing.name
     slippery = replace(robots[0].physics, friction=0.4)
     expected = simulate(*stack_robots(robots), slippery).fitness()

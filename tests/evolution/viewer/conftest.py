@@ -11,7 +11,7 @@ def server():
 
 @pytest.fixture
 def page(server):
-    """A server that stands for a page: its scene and controls are shown to every client."""
+    """A server used as a page. All clients share its scene and controls."""
     yield server
     server.scene.reset()
     server.gui.reset()

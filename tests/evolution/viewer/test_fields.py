@@ -1,4 +1,4 @@
-"""Fields show, change and limit the numbers of a robot."""
+"""Fields show, change and limit the parameters of a robot."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ ROBOTS = {
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_numbers_are_within_their_bounds_and_rounding_does_not_change_them(name):
+def test_values_are_within_their_bounds_and_rounding_does_not_change_them(name):
     robot = ROBOTS[name]
     for field in fields_of(robot):
         lower, upper = field.bounds
@@ -40,7 +40,7 @@ def exact_numbers(robot):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_both_bounds_can_be_set_and_change_no_other_number(name):
+def test_both_bounds_can_be_set_and_change_no_other_field(name):
     robot = ROBOTS[name]
     for number, field in enumerate(fields_of(robot)):
         for value in field.bounds:
@@ -79,13 +79,13 @@ def test_the_rounded_end_of_a_slider_sets_the_exact_bound():
         ("segments", {"": 1, **{f"segment {i}": 8 for i in (1, 2, 3, 4)}, "gait": 12}),
     ],
 )
-def test_every_number_has_a_field(name, counts):
+def test_every_parameter_has_a_field(name, counts):
     folders = [field.folder for field in fields_of(ROBOTS[name])]
     assert {folder: folders.count(folder) for folder in folders} == counts
 
 
 @pytest.mark.parametrize("value", [-1e9, 1e9, float("nan"), float("inf")])
-def test_a_value_out_of_bounds_is_replaced_by_the_nearest_bound(value):
+def test_values_out_of_bounds_are_clipped(value):
     robot = nominal_robot()
     for field in fields_of(robot):
         assert field.read(field.write(robot, value)) == field.bounds[value > 0]

@@ -25,7 +25,7 @@ ROBOT = Robot(
 
 
 class Hand:
-    """Uses the controls of a page and reads its status."""
+    """Operates the controls of a page and reads its status."""
 
     def __init__(self, page, player):
         self.widgets = {handle.label: handle for handle in page.gui._gui_input_handle_from_uuid.values()}
@@ -108,7 +108,7 @@ def test_a_finished_robot_stops_and_is_saved_with_its_fitness(hand, page, monkey
     hand.wait_for("Crawling")
 
 
-def test_a_slider_changes_one_number_and_restore_undoes_all(hand):
+def test_a_slider_changes_one_parameter_and_restore_undoes_all_changes(hand):
     hand.widgets["segment radius, mm"].value = 13.0
     hand.wait(lambda: hand.robot is not ROBOT)
     expected = replace(ROBOT.morphology, segment_radius_m=0.013)
@@ -121,7 +121,7 @@ def test_a_slider_changes_one_number_and_restore_undoes_all(hand):
     hand.wait(lambda: hand.robot is ROBOT)
     assert hand.widgets["segment radius, mm"].value == 12.0
     assert hand.widgets["gap1 ventral off, s"].value == 1.5
-    time.sleep(0.2)  # the sliders that were set back report their values
+    time.sleep(0.2)  # the restored sliders report their values
     assert hand.robot is ROBOT
 
 
@@ -135,7 +135,7 @@ def test_a_new_body_restarts_the_robot_without_pausing_it(hand):
 
 
 @pytest.mark.parametrize(("value", "radius_m"), [(99.0, 0.015), (-5.0, 0.009)])
-def test_a_value_out_of_bounds_is_replaced_by_the_bound(hand, value, radius_m):
+def test_values_out_of_bounds_are_clipped(hand, value, radius_m):
     hand.widgets["segment radius, mm"].value = value
     hand.wait(lambda: hand.robot.morphology.segment_radius_m == radius_m)
 

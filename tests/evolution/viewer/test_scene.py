@@ -1,4 +1,4 @@
-"""The scene shows the robot where MuJoCo puts it."""
+"""The scene shows the robot in the pose that MuJoCo computes."""
 
 from dataclasses import replace
 
@@ -82,7 +82,7 @@ def test_following_moves_the_ground_instead_of_the_robot(page, crawling):
     np.testing.assert_array_equal(node(page, "/world").position, 0)
 
 
-def test_a_pose_that_is_not_finite_is_skipped(page, crawling):
+def test_a_non_finite_pose_is_skipped(page, crawling):
     scene = RobotScene(page.scene)
     qpos, temperature_c = crawling.pose(crawling.time_s)
     scene.draw(crawling.robot, qpos, temperature_c, follow=False)
@@ -91,7 +91,7 @@ def test_a_pose_that_is_not_finite_is_skipped(page, crawling):
     np.testing.assert_array_equal(node(page, "/world/robot/element0").position, before)
 
 
-def test_a_new_body_replaces_the_one_before(page):
+def test_a_new_body_replaces_the_previous_one(page):
     robot = nominal_robot()
     scene = RobotScene(page.scene)
     draw_at_start(scene, robot)

@@ -1,4 +1,4 @@
-"""A session repeats the fitness evaluation, and its robot can be changed on the way."""
+"""A session reproduces the fitness evaluation. Its robot can be changed while it crawls."""
 
 from dataclasses import replace
 
