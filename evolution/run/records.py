@@ -22,7 +22,7 @@ class Evaluation(NamedTuple):
 
     number: int  #: index among all evaluations of the run, from 0
     generation: int
-    genome: Array  #: in [0, 1], (n,)
+    genome: Array  #: genes in [0, 1], shape (n,)
     failure: Failure
     distance_m: float
     energy_j: float
@@ -42,7 +42,7 @@ class Completion(NamedTuple):
 class Session(NamedTuple):
     """One start or resumption of a run."""
 
-    number: int  #: from 1
+    number: int  #: number of the session, from 1
     started: str  #: date and time, UTC
     finished: str | None  #: date and time, UTC; None if the run did not end in this session
     fingerprint: dict[str, str]  #: versions and machine type, see `fingerprint`

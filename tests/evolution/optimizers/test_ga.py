@@ -24,11 +24,11 @@ class Phases:
     """The first draw is all zeros, every later one all ones, so that mutated genes stand out."""
 
     def __init__(self):
-        self.drawn = 0
+        self.calls = 0
 
     def sample(self, rng, size):
-        self.drawn += 1
-        return np.full(size, 0.0 if self.drawn == 1 else 1.0)
+        self.calls += 1
+        return np.full(size, 0.0 if self.calls == 1 else 1.0)
 
 
 def ga(distributions=None, seed=0, **config):
@@ -69,16 +69,16 @@ def test_of_equal_genomes_the_first_are_the_elites():
 
 def test_roulette_draws_in_proportion_to_fitness():
     fitness = np.array([0.0, 1.0, 2.0, 3.0, 4.0])
-    drawn = roulette(fitness, 50_000, np.random.default_rng(1))
-    counts = np.bincount(drawn, minlength=5)
+    draws = roulette(fitness, 50_000, np.random.default_rng(1))
+    counts = np.bincount(draws, minlength=5)
     assert counts[0] == 0
     assert stats.chisquare(counts[1:], 50_000 * fitness[1:] / 10).pvalue > 0.01
 
 
 @pytest.mark.parametrize("value", [0.0, 0.03, 5e-324, 1e-300, 1e300, 1.7e308])
 def test_equal_fitness_makes_everybody_equally_likely(value):
-    drawn = roulette(np.full(8, value), 20_000, np.random.default_rng(2))
-    assert stats.chisquare(np.bincount(drawn, minlength=8)).pvalue > 0.01
+    draws = roulette(np.full(8, value), 20_000, np.random.default_rng(2))
+    assert stats.chisquare(np.bincount(draws, minlength=8)).pvalue > 0.01
 
 
 @pytest.mark.parametrize("value", [5e-324, 1e-300, 1e-9, 1.0, 1e300, 1.7e308])
@@ -108,11 +108,11 @@ def test_fitness_that_is_no_weight_is_refused(bad):
     seed=st.integers(0, 2**32 - 1),
 )
 def test_roulette_never_points_outside_nor_at_the_worthless(fitness, seed):
-    drawn = roulette(fitness, 20, np.random.default_rng(seed))
-    assert drawn.shape == (20,)
-    assert np.all((drawn >= 0) & (drawn < len(fitness)))
+    draws = roulette(fitness, 20, np.random.default_rng(seed))
+    assert draws.shape == (20,)
+    assert np.all((draws >= 0) & (draws < len(fitness)))
     if fitness.max() > 0:
-        assert np.all(fitness[drawn] > 0)
+        assert np.all(fitness[draws] > 0)
 
 
 class Always:

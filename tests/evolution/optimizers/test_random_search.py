@@ -9,7 +9,7 @@ from evolution.priors.distributions import ClippedGaussian, Uniform
 GENES = [Uniform(), ClippedGaussian.with_floor(1.0)]
 
 
-def drawn(sampling, sizes, seed=0, genes=GENES):
+def draw(sampling, sizes, seed=0, genes=GENES):
     """What is asked for in so many questions of these sizes, one after the other."""
     parts = []
     for population in {*sizes}:
@@ -23,7 +23,7 @@ def drawn(sampling, sizes, seed=0, genes=GENES):
 
 @pytest.mark.parametrize("sampling", ["independent", "sobol"])
 def test_genes_follow_their_distributions(sampling):
-    genomes = drawn(sampling, [2048])
+    genomes = draw(sampling, [2048])
     assert genomes.shape == (2048, 2)
     gaussian = GENES[1]
     truncated = stats.truncnorm(
@@ -35,13 +35,13 @@ def test_genes_follow_their_distributions(sampling):
 
 @pytest.mark.parametrize("sampling", ["independent", "sobol"])
 def test_size_of_a_question_does_not_matter(sampling):
-    np.testing.assert_array_equal(drawn(sampling, [12]), drawn(sampling, [4, 4, 4]))
-    assert not np.array_equal(drawn(sampling, [12]), drawn(sampling, [12], seed=1))
+    np.testing.assert_array_equal(draw(sampling, [12]), draw(sampling, [4, 4, 4]))
+    assert not np.array_equal(draw(sampling, [12]), draw(sampling, [12], seed=1))
 
 
 def test_sobol_points_are_more_even_than_independent_ones():
     def largest_gap(sampling):
-        return np.diff(np.sort(drawn(sampling, [256], genes=[Uniform()] * 3)[:, 2])).max()
+        return np.diff(np.sort(draw(sampling, [256], genes=[Uniform()] * 3)[:, 2])).max()
 
     assert largest_gap("sobol") < 2.5 / 256 < largest_gap("independent")
 

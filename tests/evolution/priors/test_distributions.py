@@ -58,19 +58,19 @@ def test_density_equals_the_truncated_normals(gaussian):
 
 @pytest.mark.parametrize("gaussian", SHAPES, ids=str)
 def test_samples_follow_the_distribution_function(gaussian):
-    drawn = gaussian.sample(np.random.default_rng(7), 20_000)
-    assert stats.kstest(drawn, reference(gaussian).cdf).pvalue > 0.01
+    draws = gaussian.sample(np.random.default_rng(7), 20_000)
+    assert stats.kstest(draws, reference(gaussian).cdf).pvalue > 0.01
 
 
 def test_uniform_samples_follow_the_uniform_distribution():
-    drawn = Uniform().sample(np.random.default_rng(7), 20_000)
-    assert stats.kstest(drawn, "uniform").pvalue > 0.01
+    draws = Uniform().sample(np.random.default_rng(7), 20_000)
+    assert stats.kstest(draws, "uniform").pvalue > 0.01
 
 
 def test_no_mass_piles_up_on_the_bounds():
     # Clamping instead of cutting off would put half of the draws on the bound itself.
-    drawn = ClippedGaussian.with_floor(1.0).sample(np.random.default_rng(0), 10_000)
-    assert not np.any((drawn == 0.0) | (drawn == 1.0))
+    draws = ClippedGaussian.with_floor(1.0).sample(np.random.default_rng(0), 10_000)
+    assert not np.any((draws == 0.0) | (draws == 1.0))
 
 
 @settings(deadline=None)
@@ -80,9 +80,9 @@ def test_no_mass_piles_up_on_the_bounds():
     seed=st.integers(0, 2**32 - 1),
 )
 def test_samples_lie_in_the_unit_interval(mu, sigma, seed):
-    drawn = ClippedGaussian(mu, sigma).sample(np.random.default_rng(seed), 50)
-    assert drawn.shape == (50,)
-    assert np.all((drawn >= 0) & (drawn <= 1))
+    draws = ClippedGaussian(mu, sigma).sample(np.random.default_rng(seed), 50)
+    assert draws.shape == (50,)
+    assert np.all((draws >= 0) & (draws <= 1))
 
 
 @pytest.mark.parametrize("distribution", [Uniform(), *SHAPES[:3]], ids=str)
@@ -105,8 +105,8 @@ def test_a_draw_takes_one_uniform_number(distribution):
 @pytest.mark.parametrize("gaussian", SHAPES, ids=str)
 def test_a_draw_is_the_quantile_of_its_uniform_number(gaussian):
     quantiles = np.random.default_rng(11).random(100)
-    drawn = gaussian.sample(np.random.default_rng(11), 100)
-    np.testing.assert_allclose(drawn, reference(gaussian).ppf(quantiles), rtol=1e-9, atol=1e-12)
+    draws = gaussian.sample(np.random.default_rng(11), 100)
+    np.testing.assert_allclose(draws, reference(gaussian).ppf(quantiles), rtol=1e-9, atol=1e-12)
 
 
 def test_wide_gaussian_nears_the_uniform():

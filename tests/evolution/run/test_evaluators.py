@@ -59,9 +59,9 @@ class Breaks(Encoding):
 def test_an_exception_is_told_with_its_genome():
     genomes = np.full((4, 12), 0.5)
     genomes[2, 0] = 0.95
-    with pytest.raises(EvaluationError, match="ZeroDivisionError: a bug") as told:
+    with pytest.raises(EvaluationError, match="ZeroDivisionError: a bug") as error:
         list(LocalEvaluator(1).map(Breaks(ENCODING.physics), [genomes]))
-    assert "0.95" in str(told.value)
+    assert "0.95" in str(error.value)
 
 
 # Ray

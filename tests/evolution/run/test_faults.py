@@ -87,9 +87,9 @@ def test_killed_at_random_points_equals_uninterrupted(tmp_path, optimizer, kills
 def test_killed_on_the_way_to_its_target_ends_there_and_stays(tmp_path, optimizer):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert process(whole, optimizer).wait() == 0
-    told = load(whole).generations
-    target_m = told[8].farthest_m
-    number = next(g.number for g in told if g.farthest_m >= target_m)
+    generations = load(whole).generations
+    target_m = generations[8].farthest_m
+    number = next(g.number for g in generations if g.farthest_m >= target_m)
     rng = np.random.default_rng(1)
     for _ in range(5):
         worker = process(broken, optimizer, target_m)
@@ -133,8 +133,8 @@ def test_ctrl_c_ends_a_run_on_ray_within_seconds_and_says_how_to_go_on(tmp_path)
     time.sleep(5.0)
     started = time.monotonic()
     os.killpg(worker.pid, signal.SIGINT)
-    told = worker.communicate(timeout=60)[1]
+    output = worker.communicate(timeout=60)[1]
     assert worker.returncode == 130
     assert time.monotonic() - started < 15  # one, when the machine has nothing else to do
-    assert f"stopped; continue with: caterpillar resume {folder}" in told
-    assert "Traceback" not in told
+    assert f"stopped; continue with: caterpillar resume {folder}" in output
+    assert "Traceback" not in output

@@ -32,7 +32,7 @@ def runs(tmp_path_factory):
     """A folder with a finished run, one that was stopped, and one that is damaged."""
     folder = tmp_path_factory.mktemp("runs")
 
-    def stop(told):
+    def stop(generation):
         raise KeyboardInterrupt
 
     for name, hook in (("done", None), ("stopped", stop), ("damaged", None)):
@@ -83,7 +83,7 @@ def test_robots_of_all_kinds_are_exported(tmp_path, genome):
     encoding = replace(CONFIG, genome=genome, physics=Physics(num_segments=3)).encoding
     genes = np.random.default_rng(1).random(len(encoding.genes))
     encoding.robot(genes).save(tmp_path / "robot.json")
-    out = tmp_path / "model.xml"  # whose ending tells the kind
+    out = tmp_path / "model.xml"  # the suffix selects the kind
     assert cli.main(["export", str(tmp_path / "robot.json"), "--out", str(out)]) == 0
     assert mujoco.MjModel.from_xml_path(str(out)).nu == 8
 
@@ -149,7 +149,7 @@ def test_leaders_are_the_best_so_far_and_crawl_as_recorded(runs):
     assert found[-1].simulate(threads=1).fitness()[0] == found[-1].fitness_m
 
 
-def test_as_long_as_all_fail_the_one_that_came_furthest_leads(tmp_path):
+def test_farthest_robot_leads_until_a_robot_qualifies_as_the_best(tmp_path):
     rng = np.random.default_rng(0)
     genomes = rng.random((6, len(CONFIG.encoding.genes)))
     outcomes = Outcomes(
@@ -157,7 +157,7 @@ def test_as_long_as_all_fail_the_one_that_came_furthest_leads(tmp_path):
         np.array([0.01, 0.0, 0.05, -0.01, 0.002, 0.001]),
         np.ones(6), np.full(6, 30.0),
     )  # fmt: skip
-    config = replace(CONFIG, failed_fitness=0.1)  # which makes nobody a leader
+    config = replace(CONFIG, failed_fitness=0.1)  # must not make a failed robot the best
     with Journal.create(tmp_path, config.to_dict()) as journal:
         journal.begin()
         history = History(journal)
@@ -170,7 +170,7 @@ def test_as_long_as_all_fail_the_one_that_came_furthest_leads(tmp_path):
     assert [leader.generation for leader in load(tmp_path).leaders()] == [0, 1, 2]
 
 
-def test_of_equal_robots_the_first_stays_the_best(tmp_path):
+def test_ties_for_the_best_go_to_the_robot_evaluated_first(tmp_path):
     genomes = np.random.default_rng(0).random((3, len(CONFIG.encoding.genes)))
     outcomes = Outcomes(np.zeros(1, dtype=np.int8), np.array([0.1]), np.ones(1), np.full(1, 30.0))
     with Journal.create(tmp_path, CONFIG.to_dict()) as journal:

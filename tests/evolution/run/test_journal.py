@@ -194,9 +194,9 @@ def test_a_full_disk_is_told_and_costs_only_what_did_not_fit(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", FULL_DISK, str(tmp_path)], capture_output=True, text=True, check=True
     )
-    safe, said = done.stdout.split(maxsplit=1)
-    assert "is the disk full?" in said
-    assert "caterpillar resume" in said
+    safe, message = done.stdout.split(maxsplit=1)
+    assert "is the disk full?" in message
+    assert "caterpillar resume" in message
     assert int(safe) > 100
     with Journal(tmp_path) as journal:
         assert len(list(journal.evaluations())) == int(safe)

@@ -112,21 +112,21 @@ def test_best_robot_is_the_first_of_the_best_rows(run):
 
 def test_best_fitness_never_gets_worse(run):
     folder, result = run
-    told = [g.best_m for g in result.generations]
+    best_m = [g.best_m for g in result.generations]
     fitness, generation = column(folder, "fitness"), column(folder, "generation")
-    assert told == [fitness[generation <= g].max() for g in range(3)]
+    assert best_m == [fitness[generation <= g].max() for g in range(3)]
 
 
 def test_generations_are_told_as_they_are_recorded(run):
     folder, result = run
     fitness, generation = column(folder, "fitness"), column(folder, "generation")
     labels = np.array([row["failure"] for row in rows(folder)])
-    for told in result.generations:
-        mine = generation == told.number
-        assert told.mean_m == pytest.approx(fitness[mine].mean(), rel=1e-12)
-        assert sum(told.failures.values()) == (labels[mine] != "ok").sum()
-        stepped = column(folder, "simulated_s")[generation <= told.number].sum()
-        assert told.simulated_s == pytest.approx(stepped)
+    for summary in result.generations:
+        mine = generation == summary.number
+        assert summary.mean_m == pytest.approx(fitness[mine].mean(), rel=1e-12)
+        assert sum(summary.failures.values()) == (labels[mine] != "ok").sum()
+        stepped = column(folder, "simulated_s")[generation <= summary.number].sum()
+        assert summary.simulated_s == pytest.approx(stepped)
     assert set(result.generations[0].failures) == {f.label for f in Failure if f}
     elapsed = [g.elapsed_s for g in result.generations]
     assert elapsed == sorted(elapsed)
@@ -181,8 +181,8 @@ def test_arms_of_one_seed_draw_the_genes_without_a_prior_alike():
 
 
 def test_interrupt_keeps_the_finished_generations(tmp_path):
-    def stop(told):
-        if told.number == 1:
+    def stop(summary):
+        if summary.number == 1:
             raise KeyboardInterrupt
 
     result = evolve(TINY, tmp_path, evaluator=ONE, on_generation=stop)
@@ -195,7 +195,7 @@ def test_interrupt_keeps_the_finished_generations(tmp_path):
 def test_interrupt_within_a_generation_leaves_no_part_of_it(tmp_path):
     whole = 0
 
-    def count(told):
+    def count(summary):
         nonlocal whole
         whole += 1
 
@@ -411,8 +411,8 @@ def test_interrupted_and_resumed_equals_uninterrupted(tmp_path, settings):
         seed=5, generations=4, physics=SHORT, ga=GaConfig(population=4, hall_of_fame=1), **settings
     )  # fmt: skip
 
-    def stop(told):
-        if told.number == 1:
+    def stop(summary):
+        if summary.number == 1:
             raise KeyboardInterrupt
 
     whole = evolve(config, tmp_path / "whole", evaluator=ONE)
@@ -485,22 +485,22 @@ def test_genome_that_differs_in_replay_is_an_error_that_says_so(tmp_path):
     evolve(TINY, tmp_path, evaluator=ONE)
     with Journal(tmp_path) as journal:
         journal.configure({**replace(TINY, seed=9).to_dict(), "own_optimizer": None})
-    with pytest.raises(RunError, match=r"evaluation 0 in .* has a different genome") as told:
+    with pytest.raises(RunError, match=r"evaluation 0 in .* has a different genome") as error:
         resume(tmp_path)
-    assert "start a new run" in str(told.value)
+    assert "start a new run" in str(error.value)
 
 
 def test_other_versions_are_told_on_resume(tmp_path, monkeypatch):
     evolve(TINY, tmp_path, evaluator=ONE)
-    told = []
-    resume(tmp_path, evaluator=ONE, on_warning=told.append)
-    assert told == []
+    warnings = []
+    resume(tmp_path, evaluator=ONE, on_warning=warnings.append)
+    assert warnings == []
     now = {**fingerprint(), "mujoco": "9.9.9"}
     monkeypatch.setattr("evolution.run.loop.fingerprint", lambda: now)
-    resume(tmp_path, evaluator=ONE, on_warning=told.append)
-    assert len(told) == 2
-    assert "session 1 (evaluations 0 to 3) ran with mujoco 4." in told[0]
-    assert "(now 9.9.9)" in told[0]
+    resume(tmp_path, evaluator=ONE, on_warning=warnings.append)
+    assert len(warnings) == 2
+    assert "session 1 (evaluations 0 to 3) ran with mujoco 4." in warnings[0]
+    assert "(now 9.9.9)" in warnings[0]
 
 
 def test_a_record_of_before_there_were_targets_goes_on_with_elites_that_breed(run, tmp_path):
@@ -562,17 +562,17 @@ def test_an_objective_of_ones_own_decides_who_is_best(tmp_path):
 
 
 def test_an_objective_of_ones_own_is_told_to_the_optimizer(tmp_path):
-    told = []
+    received = []
 
     class Hears(Halves):
         def tell(self, genomes, fitness):
-            told.extend(fitness)
+            received.extend(fitness)
 
     config = RunConfig(generations=2, physics=SHORT, failed_fitness=7.0)
     evolve(config, tmp_path / "run", evaluator=ONE, optimizer=Hears(12), objective=thrift)
     data = load(tmp_path / "run").table()
     expected = [1000 - r["energy_j"] if r["failure"] == "ok" else 7.0 for r in data.to_dicts()]
-    assert told == expected
+    assert received == expected
 
 
 def test_a_run_with_an_objective_of_ones_own_goes_on_with_it_alone(tmp_path):
@@ -630,8 +630,8 @@ def test_an_exception_in_evaluation_stops_the_run_with_the_genome(tmp_path, monk
 
     monkeypatch.setattr("evolution.run.evaluators.simulate", breaks)
     config = RunConfig(generations=1, physics=SHORT, ga=GaConfig(population=20, hall_of_fame=0))
-    with pytest.raises(EvaluationError, match="failed with ZeroDivisionError: a bug") as told:
+    with pytest.raises(EvaluationError, match="failed with ZeroDivisionError: a bug") as error:
         evolve(config, tmp_path, evaluator=ONE)
-    genome = json.loads(str(told.value).split("The genome was ")[1])
+    genome = json.loads(str(error.value).split("The genome was ")[1])
     assert len(genome) == 12
     assert len(load(tmp_path).table()) == 0

@@ -105,28 +105,28 @@ def test_unpowered_robot_draws_nothing_and_hardly_moves():
 def test_gait_is_repeated_every_period():
     # Powered for the first 0.2 s of every 2 s, too little to meet the cut-off: 3 s hold two pulses.
     pulse = GaitTimings(2.0, np.zeros((1, 2)), np.full((1, 2), 0.2))
-    drawn = [
+    energies = [
         simulate([Morphology()], pulse, SHORT, threads=1, duration_s=t).energy_j[0]
         for t in (0.1, 1.0, 3.0, 5.0)
     ]
     # Two pairs of springs for 0.2 s.
-    assert drawn[1] == pytest.approx(4 * SHORT.spring.drive_power_w * 0.2, rel=1e-9)
-    assert np.array(drawn) / drawn[1] == pytest.approx([0.5, 1.0, 2.0, 3.0], rel=1e-9)
+    assert energies[1] == pytest.approx(4 * SHORT.spring.drive_power_w * 0.2, rel=1e-9)
+    assert np.array(energies) / energies[1] == pytest.approx([0.5, 1.0, 2.0, 3.0], rel=1e-9)
 
 
 def test_progress_is_told_every_control_interval():
-    told = []
+    traces = []
     bodies, timings = Encoding(SHORT, PERIOD_S).decode(genomes(2))
-    simulate(bodies, timings, SHORT, threads=1, duration_s=1.5, on_interval=told.append)
-    assert [trace.energy_j.shape[1] for trace in told] == [10] * 15
+    simulate(bodies, timings, SHORT, threads=1, duration_s=1.5, on_interval=traces.append)
+    assert [trace.energy_j.shape[1] for trace in traces] == [10] * 15
 
 
 def test_trace_holds_every_thermal_step():
-    told = []
+    traces = []
     bodies, timings = Encoding(SHORT, PERIOD_S).decode(genomes(1))
-    simulate(bodies, timings, SHORT, threads=1, duration_s=0.5, on_interval=told.append)
-    assert sum(trace.temperature_c.shape[1] for trace in told) == 50
-    assert {trace.temperature_c.shape[2] for trace in told} == {4}
+    simulate(bodies, timings, SHORT, threads=1, duration_s=0.5, on_interval=traces.append)
+    assert sum(trace.temperature_c.shape[1] for trace in traces) == 50
+    assert {trace.temperature_c.shape[2] for trace in traces} == {4}
 
 
 def test_diverged_robot_stops_at_once_and_has_finite_fitness(tmp_path, monkeypatch):
@@ -146,8 +146,8 @@ def test_distance_is_finite_even_where_the_robot_is_nowhere(monkeypatch):
 
     monkeypatch.setattr(Crawl, "progress", lost)
     bodies, timings = Encoding(SHORT, PERIOD_S).decode(genomes(1))
-    told = simulate(bodies, timings, SHORT, threads=1, duration_s=0.1)
-    assert told.distance_m.tolist() == [0.0]
+    outcomes = simulate(bodies, timings, SHORT, threads=1, duration_s=0.1)
+    assert outcomes.distance_m.tolist() == [0.0]
 
 
 def test_failed_robots_stop_while_sound_ones_go_on():

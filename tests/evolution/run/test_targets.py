@@ -69,7 +69,7 @@ def whole(tmp_path_factory):
             found = Whole(folder, config, evolve(config, folder, evaluator=ONE).generations)
             if found.targeted is not None and found.generations[0].farthest_m > 0:
                 return found
-        raise AssertionError("nobody gets farther after the first generation")
+        raise AssertionError("no robot gets farther after the first generation")
 
     return run
 
@@ -101,8 +101,8 @@ def test_a_target_just_out_of_reach_changes_nothing_but_what_is_said(whole, tmp_
 def test_a_run_that_is_resumed_before_its_target_ends_where_it_would_have(whole, tmp_path, kind):
     found = whole(kind)
 
-    def stop(told):
-        if told.number == found.number - 1:
+    def stop(generation):
+        if generation.number == found.number - 1:
             raise KeyboardInterrupt
 
     assert not evolve(found.targeted, tmp_path, evaluator=ONE, on_generation=stop).finished
@@ -165,12 +165,12 @@ def test_a_run_at_its_target_evaluates_nothing_more(reached, tmp_path, generatio
 def test_resuming_at_the_target_says_in_one_line_that_nothing_is_left(reached, tmp_path, capsys):
     shutil.copytree(reached, tmp_path / "run")
     assert cli.main(["resume", str(tmp_path / "run"), "--no-video"]) == 0
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
     assert re.fullmatch(
         r"already finished: the target of \S+ mm was reached in generation 0, where a robot crawled "
         r"\S+ mm",
-        said[0],
+        lines[0],
     )
 
 
