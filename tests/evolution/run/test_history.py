@@ -95,7 +95,7 @@ def test_robots_of_all_kinds_are_exported(tmp_path, genome):
         (["export", "done", "--to", "xlsx"], "--to"),
         (["export", "done", "--out", "missing/rows.csv"], "choose another place with --out"),
         (["export", "damaged"], "is damaged"),
-        (["export", "done/best.json"], "give the folder, or --to mjcf"),
+        (["export", "done/best.json"], "a table needs a run folder"),
         (["export", "done", "--to", "csv", "--out", "robot.xml"], "contradict"),
         (["export", "nowhere", "--to", "mjcf"], "give a run folder or the JSON file of one robot"),
         (["export", "empty", "--to", "mjcf"], "empty holds no best.json"),
