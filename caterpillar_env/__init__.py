@@ -19,9 +19,11 @@ from caterpillar_env.errors import (
 )
 
 __all__ = [
+    "PARAMETERS",
     "CaterpillarEnv",
     "CaterpillarError",
     "CaterpillarVectorEnv",
+    "Failure",
     "GaitTimings",
     "Morphology",
     "MorphologyError",
@@ -48,9 +50,11 @@ for _id, _mode in (("CaterpillarSMA-v0", "timing"), ("CaterpillarSMASwitch-v0", 
 _LAZY = {
     "CaterpillarEnv": "env",
     "CaterpillarVectorEnv": "vector_env",
+    "Failure": "task",
     "GaitTimings": "gait",
     "Morphology": "morphology",
     "Outcomes": "robot",
+    "PARAMETERS": "morphology",
     "Physics": "physics",
     "Robot": "robot",
     "SmaSpring": "sma",
