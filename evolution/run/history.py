@@ -63,11 +63,12 @@ class History:
         self.configuration = journal.configuration
         self.sessions = journal.sessions
         self.finished = journal.finished
+        # Before the evaluations, because another process may complete a generation meanwhile.
+        self._completions = journal.generations()
         self.evaluations: list[Evaluation] = list(journal.evaluations())
         self.generations: list[Generation] = []
         self.best: Evaluation | None = None  #: the best evaluation so far, see `objective.find_best`
         self._best_objective = -np.inf
-        self._completions = journal.generations()
 
     @classmethod
     def read(cls, folder: Path | str) -> History:

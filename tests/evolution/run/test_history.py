@@ -183,6 +183,28 @@ def test_ties_for_the_best_go_to_the_robot_evaluated_first(tmp_path):
     assert Robot.load(tmp_path).evaluation == load(tmp_path).best.number == 0
 
 
+def test_a_generation_that_is_completed_while_the_journal_is_read_waits(tmp_path, monkeypatch):
+    genomes = np.random.default_rng(0).random((2, len(CONFIG.encoding.genes)))
+    outcomes = Outcomes(np.zeros(1, dtype=np.int8), np.array([0.1]), np.ones(1), np.full(1, 30.0))
+    read_evaluations, calls = Journal.evaluations, []
+
+    def read_slowly(journal):
+        yield from read_evaluations(journal)
+        calls.append(journal)
+        if len(calls) == 2:  # the first call checks the digests
+            writer.append(genomes[1:], outcomes)
+            writer.complete()
+
+    with Journal.create(tmp_path, CONFIG.to_dict()) as journal:
+        journal.begin()
+        writer = History(journal)
+        writer.append(genomes[:1], outcomes)
+        writer.complete()
+        monkeypatch.setattr(Journal, "evaluations", read_slowly)
+        assert len(load(tmp_path).generations) == 1
+        assert len(load(tmp_path).generations) == 2
+
+
 def test_a_journal_without_the_ends_of_generations_is_read_the_same(runs, tmp_path):
     for name in ("done", "stopped"):
         folder = shutil.copytree(runs / name, tmp_path / name)
