@@ -123,7 +123,7 @@ def test_chunk_of_a_killed_worker_is_evaluated_again(cluster, reference, tmp_pat
 def test_an_exception_on_a_worker_is_told_with_its_genome(cluster):
     genomes = np.full((4, 12), 0.5)
     genomes[2, 0] = 7.0
-    with RayEvaluator() as evaluator, pytest.raises(EvaluationError, match="every gene must lie in"):
+    with RayEvaluator() as evaluator, pytest.raises(EvaluationError, match="genes must lie in"):
         list(evaluator.map(ENCODING, [genomes]))
 
 
