@@ -213,7 +213,7 @@ class Episodes:
         )
 
     def check_actions(self, actions: Any, count: int) -> Array:
-        """Return the actions of `count` robots as an array of shape (count, *action_space.shape).
+        """Return the actions of `count` robots as an array with one row per robot.
 
         Raises:
             TimingError: the shape is wrong, or a value is not finite or, in switch mode, not 0 or 1.
