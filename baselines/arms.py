@@ -27,7 +27,7 @@ class TrainArm:
     config: TrainConfig
 
     @property
-    def title(self) -> str | None:
+    def title(self) -> str:
         """Short description of the arm."""
         return f"Reinforcement learning, {self.config.title}"
 

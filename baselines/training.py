@@ -73,8 +73,8 @@ def train(
     torch.set_num_threads(1)
     try:
         with Journal.create(folder, make_configuration(config)) as journal:
-            journal.begin(_PACKAGES)
             history = History(journal)
+            history.begin(_PACKAGES)
             recorder = _Recorder(config, robots, history, reserve_s, on_evaluation, on_progress)
             callbacks = [*map(_make_callback, hyperparameters(config).callback), recorder]
             if recorder.designs is not None:

@@ -35,12 +35,12 @@ def resume_command(argv: Sequence[str]) -> int:
     workers, console = args.workers, cli.console()
     if args.repair:
         kept = Journal.repair(args.folder)
-        console.print(f"kept {kept} evaluations; the old file is journal.sqlite.damaged")
+        console.print(f"kept {kept} evaluations; the damaged file is kept beside the journal")
     history = History.read(args.folder)
     generations = max(args.generations or 0, history.config.generations)
     ending = history.ending(generations)
-    longer = args.generations is None or args.generations >= history.config.generations
-    if history.finished and longer and ending is not None and (args.folder / "best.json").exists():
+    shorter = args.generations is not None and args.generations < generations  # `resume` refuses it
+    if history.finished and not shorter and ending and (args.folder / "best.json").exists():
         console.print(f"already finished: {ending}")
         print_commands(history)
         return 0

@@ -105,6 +105,17 @@ class History:
         data = {k: v for k, v in self.configuration.items() if not k.startswith("own_")}
         return RunConfig.from_dict(data)
 
+    def configure(self, config: RunConfig) -> None:
+        """Replace the configuration of an evolutionary run, for example by one with more generations."""
+        self.configuration |= config.to_dict()
+        self._journal.configure(self.configuration)
+        self.config = config
+
+    def begin(self, packages: Sequence[str] = ()) -> None:
+        """Begin a session, see `Journal.begin`."""
+        self._journal.begin(packages)
+        self._started, self.sessions = time.monotonic(), self._journal.sessions
+
     @property
     def own_optimizer(self) -> str | None:
         """Name of the user's own optimizer, if one drove the run."""
@@ -170,9 +181,12 @@ class History:
         leaders = []
         for generation in self.generations:
             best = self._completions[generation.number].best
-            known = self.evaluations[: generation.evaluations]
-            farthest = max(known, key=lambda e: e.distance_m)
-            leaders.append(self.robot(farthest if best is None else self.evaluations[best]))
+            if best is None:
+                known = self.evaluations[: generation.evaluations]
+                leader = max(known, key=lambda e: e.distance_m)
+            else:
+                leader = self.evaluations[best]
+            leaders.append(self.robot(leader))
         return leaders
 
     def table(self) -> polars.DataFrame:

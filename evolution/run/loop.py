@@ -65,7 +65,8 @@ def evolve(
     with evaluator or LocalEvaluator() as workers:  # if this fails, no folder is made
         make_folder(folder, f", or continue the run in it with `caterpillar resume {folder}`")
         with Journal.create(folder, config.to_dict() | own) as journal:
-            return _run(journal, optimizer, objective, workers, on_generation, on_progress)
+            history = History(journal, objective)
+            return _run(history, optimizer, objective, workers, on_generation, on_progress)
 
 
 def resume(
@@ -100,7 +101,7 @@ def resume(
             optimizer or objective is missing.
     """
     with Journal(Path(folder)) as journal:
-        history = History(journal)
+        history = History(journal, objective)
         given = {"optimizer": optimizer, "objective": objective}
         for what, name in (("optimizer", history.own_optimizer), ("objective", history.own_objective)):
             if name is not None and given[what] is None:
@@ -118,23 +119,21 @@ def resume(
         optimizer = optimizer or history.config.make_optimizer()
         with evaluator or LocalEvaluator() as workers:
             if generations is not None:  # only once the evaluator is available
-                longer = replace(history.config, generations=generations)
-                journal.configure(history.configuration | longer.to_dict())
-            return _run(journal, optimizer, objective, workers, on_generation, on_progress)
+                history.configure(replace(history.config, generations=generations))
+            return _run(history, optimizer, objective, workers, on_generation, on_progress)
 
 
 def _run(
-    journal: Journal,
+    history: History,
     optimizer: Optimizer,
     objective: Objective | None,
     evaluator: Evaluator,
     on_generation: Callable[[Generation], None] | None,
     on_progress: OnProgress | None,
 ) -> History:
-    history = History(journal, objective)
     config = history.config
     objective = objective or OBJECTIVES[config.objective]
-    journal.begin()
+    history.begin()
     try:
         while history.ending() is None:
             genomes = config.encoding.check(optimizer.ask())
