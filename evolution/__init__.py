@@ -16,47 +16,38 @@ if TYPE_CHECKING:
     from evolution.config import RunConfig
     from evolution.genome import Encoding
     from evolution.optimizers.cma_es import CmaConfig
-    from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
-    from evolution.priors.preprocessor import DesignParameter, design_parameters, preprocess
+    from evolution.optimizers.ga import GaConfig
     from evolution.run.evaluators import LocalEvaluator, RayEvaluator, evaluate
     from evolution.run.history import Generation, History, load
     from evolution.run.loop import evolve, resume
 
 __all__ = [
     "CmaConfig",
-    "DesignParameter",
     "Encoding",
     "GaConfig",
     "Generation",
-    "GeneticAlgorithm",
     "History",
     "LocalEvaluator",
     "RayEvaluator",
     "RunConfig",
-    "design_parameters",
     "evaluate",
     "evolve",
     "load",
-    "preprocess",
     "resume",
 ]
 
 _MODULES = {
     "CmaConfig": "optimizers.cma_es",
-    "DesignParameter": "priors.preprocessor",
     "Encoding": "genome",
     "GaConfig": "optimizers.ga",
     "Generation": "run.history",
-    "GeneticAlgorithm": "optimizers.ga",
     "History": "run.history",
     "LocalEvaluator": "run.evaluators",
     "RayEvaluator": "run.evaluators",
     "RunConfig": "config",
-    "design_parameters": "priors.preprocessor",
     "evaluate": "run.evaluators",
     "evolve": "run.loop",
     "load": "run.history",
-    "preprocess": "priors.preprocessor",
     "resume": "run.loop",
 }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_origin, get_type_hints
 
 import numpy as np
 
@@ -74,8 +74,9 @@ class RunConfig:
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if value is not None and not (number and 0 < value < np.inf):
                 raise ConfigError(f"{name} = {value!r} must be {what}, or None for no limit")
-        for name, kind in _CHOICES.items():
-            check_choice(name, getattr(self, name), kind, ConfigError)
+        for name, kind in get_type_hints(RunConfig).items():
+            if get_origin(kind) is Literal:
+                check_choice(name, getattr(self, name), kind, ConfigError)
         if self.optimizer != "ga" and self.prior in ("init-only", "mutation-only"):
             raise ConfigError(
                 f"prior = {self.prior!r} needs the genetic algorithm; with "
@@ -169,12 +170,4 @@ class RunConfig:
 _LIMITS = {
     "budget_s": "a positive number of simulated seconds",
     "target_m": "a positive distance in m",
-}
-_CHOICES = {
-    "optimizer": OptimizerName,
-    "genome": GenomeKind,
-    "prior": Prior,
-    "clipping": Clipping,
-    "objective": ObjectiveName,
-    "sampling": Sampling,
 }

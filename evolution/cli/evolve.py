@@ -42,10 +42,9 @@ def evolve_command(argv: Sequence[str]) -> int:
     args = cli.parse(EvolveArgs, argv, "evolve", defaults)
     config, workers, console = args.config, args.workers, cli.console()
     folder = args.out or unused(Path("runs"), f"{config.optimizer}-{config.prior}-seed{config.seed}")
-    reporter = Reporter(config, console)
-    with workers.follow(reporter, folder) as on_generation:
+    with Reporter(config, console) as reporter:
         history = evolve(
-            config, folder, evaluator=workers.make_evaluator(), on_generation=on_generation,
+            config, folder, evaluator=workers.make_evaluator(), on_generation=reporter.generation,
             on_progress=reporter.progress,
         )  # fmt: skip
     return finish(history, console, video=workers.video)

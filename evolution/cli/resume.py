@@ -44,11 +44,10 @@ def resume_command(argv: Sequence[str]) -> int:
         console.print(f"already finished: {ending}")
         print_commands(history)
         return 0
-    reporter = Reporter(replace(history.config, generations=generations), console)
-    with workers.follow(reporter, args.folder) as on_generation:
+    with Reporter(replace(history.config, generations=generations), console) as reporter:
         history = resume(
             args.folder, generations=args.generations, evaluator=workers.make_evaluator(),
-            on_generation=on_generation, on_progress=reporter.progress,
+            on_generation=reporter.generation, on_progress=reporter.progress,
             on_warning=lambda text: console.print(f"warning: {text}"),
         )  # fmt: skip
     return finish(history, console, video=workers.video)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -15,8 +13,6 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.robot import AnyRobot
 from evolution import cli
 from evolution.config import RunConfig
-from evolution.report.tensorboard import FOLDER as TENSORBOARD
-from evolution.report.tensorboard import TensorBoard
 from evolution.run.evaluators import Evaluator, LocalEvaluator, RayEvaluator
 from evolution.run.history import Generation, History
 
@@ -45,8 +41,6 @@ class WorkerArgs:
     """Number of threads of the local evaluator; 0 uses all cores."""
     video: bool = True
     """Write best.mp4, a video of the best robot."""
-    track: Literal["nowhere", "tensorboard"] = "nowhere"
-    """tensorboard: log to the run folder, for TensorBoard. resume continues an existing log."""
 
     def __post_init__(self) -> None:
         check_threads(self.threads)
@@ -57,19 +51,6 @@ class WorkerArgs:
         if self.evaluator == "ray":
             return RayEvaluator(self.ray_address)
         return LocalEvaluator(self.threads)
-
-    @contextmanager
-    def follow(self, reporter: Reporter, folder: Path) -> Iterator[Callable[[Generation], None]]:
-        """Show the progress of a run, and log it on request. Yields a callback for each generation."""
-        tracked = self.track == "tensorboard" or (folder / TENSORBOARD).is_dir()
-        with TensorBoard(folder) if tracked else nullcontext() as board, reporter:
-
-            def report(generation: Generation) -> None:
-                reporter.generation(generation)
-                if board is not None:
-                    board.generation(generation)
-
-            yield report
 
 
 class Reporter:

@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import check_choice
-from evolution.optimizers.base import GenerationalOptimizer, OptimizerError
+from evolution.optimizers.base import GenerationalOptimizer
 from evolution.priors.distributions import Distribution
 
 Sampling = Literal["independent", "sobol"]
@@ -23,9 +22,6 @@ class RandomSearch(GenerationalOptimizer):
         population: number of genomes per generation. The sequence of genomes does not depend on it.
         sampling: "independent", or "sobol" for a scrambled Sobol' sequence (Owen 1998).
         rng: the only source of randomness.
-
-    Raises:
-        OptimizerError: `population` or `sampling` is invalid.
     """
 
     def __init__(
@@ -36,9 +32,6 @@ class RandomSearch(GenerationalOptimizer):
         rng: np.random.Generator,
     ) -> None:
         super().__init__()
-        if population < 1:
-            raise OptimizerError(f"population = {population} must be at least 1")
-        check_choice("sampling", sampling, Sampling, OptimizerError)
         self._distributions = list(distributions)
         self._population = population
         self._rng = rng

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from evolution.optimizers.base import OptimizerError
 from evolution.optimizers.random_search import RandomSearch
 from evolution.priors.distributions import ClippedGaussian, Uniform
 
@@ -44,10 +43,3 @@ def test_sobol_points_are_more_even_than_independent_ones():
         return np.diff(np.sort(draw(sampling, [256], genes=[Uniform()] * 3)[:, 2])).max()
 
     assert largest_gap("sobol") < 2.5 / 256 < largest_gap("independent")
-
-
-def test_unusable_settings_are_refused():
-    with pytest.raises(OptimizerError, match="population = 0"):
-        RandomSearch(GENES, 0, "independent", np.random.default_rng(0))
-    with pytest.raises(OptimizerError, match="sampling = 'grid'"):
-        RandomSearch(GENES, 4, "grid", np.random.default_rng(0))
