@@ -14,7 +14,7 @@ from baselines.policy import TrainedRobot
 from baselines.training import train
 from caterpillar_env.gait import GAIT_PERIOD_S
 from evolution.run.history import History
-from evolution.study.arms import ArmError, merge
+from evolution.study.arms import StudyError, merge
 
 
 @dataclass(frozen=True)
@@ -26,20 +26,15 @@ class TrainArm:
 
     config: TrainConfig
 
-    @property
-    def title(self) -> str:
-        """Short description of the arm."""
-        return f"Reinforcement learning, {self.config.title}"
-
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], base: Mapping[str, Any]) -> TrainArm:
         """Make an arm from its settings and the physics of the study's base.
 
         Raises:
-            ArmError: the base sets a gait period that differs from that of the environments.
+            StudyError: the base sets a gait period that differs from that of the environments.
         """
         if base.get("gait_period_s", GAIT_PERIOD_S) != GAIT_PERIOD_S:
-            raise ArmError(
+            raise StudyError(
                 f"base.gait_period_s = {base['gait_period_s']!r} does not apply to policies, whose gait "
                 f"period is {GAIT_PERIOD_S:g} s; set it in each arm of evolution instead"
             )

@@ -61,15 +61,10 @@ def write_report(folder: Path, console: Console, *, test_winners: bool) -> None:
             f"no run of {folder} is finished yet; continue with caterpillar study, or see caterpillar "
             f"runs {folder}"
         )
-    if results.environments > 1:
-        console.print(
-            f"warning: runs were made with {results.environments} different sets of package versions or "
-            "machines (see table sessions of their journals); their results may not be comparable",
-        )
     analysis = analyse(config, results, read_thresholds(config, folder, results.table))
     if test_winners:
         console.print("simulating the best robots again ...")
     winners = find_winners(analysis, folder) if test_winners else []
-    page = report.write(analysis, results.table, winners, folder)
+    page = report.write(analysis, winners, folder)
     print("\n".join(summarize(analysis)))
     print(f"written: {page}", file=sys.stderr)

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console, Group
-from rich.live import Live
-from rich.text import Text
 
 from caterpillar_env import machine
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli
 from evolution.cli.report import write_report
 from evolution.cli.running import check_address
-from evolution.study.cells import Processes, Progress, RayTasks, run_study
+from evolution.study.cells import Processes, RayTasks, run_study
 from evolution.study.config import begin, preset, read_toml
 
 
@@ -67,7 +63,18 @@ def study_command(argv: Sequence[str]) -> int:
     if args.evaluator == "ray":
         workers = RayTasks(args.ray_address)
     try:
-        with _show_progress(console) as show:
+        with cli.bar(console) as bar:
+            task, cells, shown = bar.add_task("study", total=1.0), len(config.cells()), -1
+
+            def show(ended: int, share: float) -> None:
+                nonlocal shown
+                bar.update(task, completed=share, description=f"{ended} of {cells} runs")
+                percent, left_s = int(100 * share), bar.tasks[0].time_remaining
+                if percent > shown and not console.is_terminal:
+                    shown = percent
+                    left = "" if left_s is None else f", left {left_s / 60:.0f} min"
+                    console.print(f"{ended} of {cells} runs, {percent} %{left}")
+
             failed = run_study(config, folder, workers, show)
     except KeyboardInterrupt:
         console.print(f"stopped; continue with: caterpillar study {' '.join(argv)}")
@@ -76,32 +83,3 @@ def study_command(argv: Sequence[str]) -> int:
         console.print(f"{cell} failed: {error}")
     write_report(folder, console, test_winners=args.winners)
     return 1 if failed else 0
-
-
-@contextmanager
-def _show_progress(console: Console) -> Iterator[Callable[[Progress], None]]:
-    """Show the progress of all runs: live on a terminal, otherwise in a line per minute."""
-    bar = cli.bar(console)
-    task = bar.add_task("study", total=1.0)
-    live = Live(console=console, refresh_per_second=2)
-    last_minute = -1
-
-    def show(progress: Progress) -> None:
-        nonlocal last_minute
-        finished = f"{progress.finished} of {progress.cells} runs"
-        bar.update(task, completed=progress.share, description=finished)
-        lines = [
-            f"  {cell}: {simulated_s:,.0f} s simulated, best {1000 * best_m:.1f} mm"
-            for cell, (simulated_s, best_m) in progress.running.items()
-        ]
-        if console.is_terminal:
-            live.update(Group(bar, Text("\n".join(lines))))
-            return
-        minute, left_s = int(bar.tasks[0].elapsed or 0) // 60, bar.tasks[0].time_remaining
-        if minute > last_minute or progress.finished == progress.cells:
-            last_minute = minute
-            left = "" if left_s is None else f", left {left_s / 60:.0f} min"
-            console.print(f"{finished}, {100 * progress.share:.0f} %{left};" + ";".join(lines))
-
-    with live if console.is_terminal else nullcontext():
-        yield show

@@ -313,18 +313,13 @@ def _find(folder: Path) -> Path:
     return path
 
 
-def read_progress(folder: Path) -> tuple[float, float]:
-    """Return the simulated seconds, and the largest distance in m of a robot that did not fail.
+def read_simulated_s(folder: Path) -> float:
+    """Return the simulated seconds of a run so far, or 0 without a journal.
 
-    Both are 0 without a journal. To be fast enough for polling, this reads no genomes and checks no
-    digests.
+    To be fast enough for polling, this reads no genomes and checks no digests.
     """
     try:
         with closing(sqlite3.connect(f"{(folder / FILE).resolve().as_uri()}?mode=ro", uri=True)) as db:
-            spent_s, best_m = db.execute(
-                "SELECT total(simulated_s), max(CASE failure WHEN 'ok' THEN distance_m ELSE 0 END) "
-                "FROM evaluations"
-            ).fetchone()
+            return float(db.execute("SELECT total(simulated_s) FROM evaluations").fetchone()[0])
     except sqlite3.Error:
-        return 0.0, 0.0
-    return spent_s, max(best_m or 0.0, 0.0)
+        return 0.0

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from caterpillar_env.arrays import Array
 from evolution.study import statistics
@@ -88,7 +89,7 @@ def analyse(config: StudyConfig, results: Results, thresholds_m: list[float] | N
         gains=_gains(config, runs),
         ecdf={
             arm: statistics.target_ecdf(
-                np.array([[run.reaches(t, np.inf)[0] for t in targets_m] for run in arm_runs]), grid_s
+                np.array([[run.time_to(t) for t in targets_m] for run in arm_runs]), grid_s
             )
             for arm, arm_runs in runs.items()
         },
@@ -101,8 +102,8 @@ def arrivals(runs: Sequence[Run], threshold_m: float, budget_s: float) -> Arriva
 
     The second array, (n,), is True where a run reached the threshold.
     """
-    pairs = [run.reaches(threshold_m, budget_s) for run in runs]
-    return np.array([time for time, _ in pairs]), np.array([reached for _, reached in pairs])
+    times = np.array([run.time_to(threshold_m) for run in runs])
+    return np.minimum(times, budget_s), np.isfinite(times)
 
 
 def _times(config: StudyConfig, runs: dict[str, list[Run]], threshold_m: float) -> list[Times]:
@@ -126,7 +127,7 @@ def _times(config: StudyConfig, runs: dict[str, list[Run]], threshold_m: float) 
 def _finals(config: StudyConfig, runs: dict[str, list[Run]]) -> list[Finals]:
     final_m = {arm: np.array([run.best_m[-1] for run in found]) for arm, found in runs.items()}
     a12 = _compare(config, final_m, statistics.a12)
-    p = _holm(_compare(config, final_m, statistics.mann_whitney))
+    p = _holm(_compare(config, final_m, lambda a, b: float(stats.mannwhitneyu(a, b).pvalue)))
     rows = []
     for arm, values in final_m.items():
         failures = np.concatenate([run.failure for run in runs[arm]])
@@ -201,7 +202,7 @@ def summarize(analysis: Analysis) -> list[str]:
         lines += _summarize_times(analysis, analysis.thresholds_m[-1])
     medians = {row.arm: row.median_m.value for row in analysis.finals}
     lines += [
-        f"{_title(config, row.arm)} ends at a median of {_mm(row.median_m.value)} against "
+        f"{row.arm} ends at a median of {_mm(row.median_m.value)} against "
         f"{_mm(medians[config.reference])} of the reference; A12 {format_estimate(row.a12)}, "
         f"Mann-Whitney p {format_p(row.mann_whitney_p)}."
         for row in analysis.finals
@@ -210,32 +211,20 @@ def summarize(analysis: Analysis) -> list[str]:
     for gain in analysis.gains:
         value, low, high = (100 * (ratio - 1) for ratio in gain.ratio)
         lines.append(
-            f"{_title(config, gain.arm)}: {value:+.0f} % distance at generation {config.generation} "
+            f"{gain.arm}: {value:+.0f} % distance at generation {config.generation} "
             f"against the reference ({low:+.0f} to {high:+.0f} %; {gain.runs} runs)."
         )
     return lines
 
 
 def _summarize_times(analysis: Analysis, threshold_m: float) -> list[str]:
-    config, lines = analysis.config, []
-    rows = analysis.times[threshold_m]
-    for row in rows:
-        line = f"{_title(config, row.arm)}: {row.reached} of {row.runs} runs reach {_mm(threshold_m)}"
+    lines = []
+    for row in analysis.times[threshold_m]:
+        line = f"{row.arm}: {row.reached} of {row.runs} runs reach {_mm(threshold_m)}"
         if row.speed_up is not None:
             line += f"; speed-up {format_estimate(row.speed_up)}, log-rank p {format_p(row.log_rank_p)}"
         lines.append(line + ".")
-    fastest = min(rows, key=lambda row: row.running_time_s.value, default=None)
-    if fastest is not None and np.isfinite(fastest.running_time_s.value):
-        lines.append(
-            f"Least expected running time to {_mm(threshold_m)}: {fastest.arm}, "
-            f"{fastest.running_time_s.value:,.0f} simulated seconds."
-        )
     return lines
-
-
-def _title(config: StudyConfig, arm: str) -> str:
-    title = config.arms[arm].title
-    return f"{title[0].upper()}{title[1:]} ({arm})"
 
 
 def _mm(metres: float) -> str:

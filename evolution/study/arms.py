@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.robot import AnyRobot, Robot
-from evolution.config import OPTIMIZERS, PRIORS, RunConfig
+from evolution.config import RunConfig
 from evolution.run.evaluators import LocalEvaluator
 from evolution.run.history import History
 from evolution.run.journal import FILE
@@ -24,8 +24,8 @@ from evolution.run.loop import evolve, resume
 _UNLIMITED = 1_000_000  # generations: the budget ends a run
 
 
-class ArmError(CaterpillarError):
-    """An arm's settings are invalid, or its run was made with different settings."""
+class StudyError(CaterpillarError):
+    """The settings or the folder of a study are invalid, or one of its runs failed."""
 
 
 class Arm(Protocol):
@@ -46,11 +46,6 @@ class Arm(Protocol):
         Raises:
             CaterpillarError: a setting is invalid.
         """
-        ...
-
-    @property
-    def title(self) -> str:
-        """Short description of the arm."""
         ...
 
     def run(self, folder: Path, seed: int, budget_s: float) -> bool:
@@ -80,14 +75,13 @@ def make_arm(data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm:
     name = settings.pop("kind", "evolution")
     known = {e.name: e for e in entry_points(group="caterpillar.arms")}
     if name not in known:
-        raise ArmError(f"kind = {name!r} must be one of {', '.join(sorted(known))}")
+        raise StudyError(f"kind = {name!r} must be one of {', '.join(sorted(known))}")
     try:
         kind: type[Arm] = known[name].load()
     except ImportError as error:
-        package = dist.name if (dist := known[name].dist) else "its package"
-        raise ArmError(
-            f"kind {name!r} of {package} cannot be used: {error}; install what {package} needs for it "
-            "(for 'rl': pip install 'caterpillar-sma[rl]')"
+        raise StudyError(
+            f"kind = {name!r} needs a package that is missing: {error} (for 'rl': pip install "
+            "'caterpillar-sma[rl]')"
         ) from None
     return kind.from_dict(settings, base)
 
@@ -117,16 +111,11 @@ class EvolutionArm:
         """
         config = RunConfig.from_dict(merge(base, data))
         if config.target_m is not None:
-            raise ArmError(
+            raise StudyError(
                 f"target_m = {config.target_m:g} would end runs before their budget is spent; remove it "
                 "(the targets of a study are its threshold_shares)"
             )
         return cls(config)
-
-    @property
-    def title(self) -> str:
-        """Names of the optimizer and its prior."""
-        return f"{OPTIMIZERS[self.config.optimizer]} with {PRIORS[self.config.prior]}"
 
     def run_config(self, seed: int, budget_s: float) -> RunConfig:
         """Return the configuration of one run."""

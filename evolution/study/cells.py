@@ -13,23 +13,18 @@ import signal
 import threading
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from evolution.run.evaluators import connect_ray
-from evolution.run.journal import read_progress
-from evolution.study.arms import Arm, ArmError
-from evolution.study.config import Cell, StudyConfig, StudyError
+from evolution.run.journal import read_simulated_s
+from evolution.study.arms import Arm, StudyError
+from evolution.study.config import Cell, StudyConfig
 from evolution.study.results import read_finished
 
 _POLL_S = 0.5
-_Task = Callable[[], None]
-
-
-class CellError(StudyError):
-    """A cell failed."""
+_Task = tuple[Arm, Path, int, float]  # an arm, and the arguments of `Arm.run`
 
 
 class Processes:
@@ -40,8 +35,6 @@ class Processes:
     """
 
     def __init__(self, count: int) -> None:
-        if count < 1:
-            raise StudyError(f"a study needs at least 1 process; got {count} (--processes 0: all cores)")
         self.count = count
         self._processes: list[multiprocessing.process.BaseProcess] = []
 
@@ -55,14 +48,14 @@ class Processes:
             process.join()
 
     def run(self, task: _Task) -> None:
-        """Run a task to its end.
+        """Run a cell to its end.
 
         Raises:
-            CellError: the task raised an error, or its process was killed.
+            StudyError: the cell raised an error, or its process was killed.
         """
         context = multiprocessing.get_context("spawn")
         receiver, sender = context.Pipe(duplex=False)
-        process = context.Process(target=_run_in_process, args=(task, sender), daemon=True)
+        process = context.Process(target=_run_in_process, args=(sender, task), daemon=True)
         process.start()
         self._processes.append(process)
         sender.close()
@@ -72,14 +65,14 @@ class Processes:
             process.join()
             error = f"its process ended with status {process.exitcode}" if process.exitcode else None
         if error is not None:
-            raise CellError(error)
+            raise StudyError(error)
 
 
-def _run_in_process(task: _Task, errors: Connection) -> None:
+def _run_in_process(errors: Connection, task: _Task) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     threading.Thread(target=_exit_with_parent, daemon=True).start()
     try:
-        task()
+        _run(*task)
     except Exception as error:
         errors.send(f"{type(error).__name__}: {error}")
 
@@ -101,7 +94,7 @@ class RayTasks:
 
     def __init__(self, address: str | None = None) -> None:
         self._connection = connect_ray(address)
-        self._tasks: list[object] = []
+        self._references: list[object] = []
 
     def __enter__(self) -> RayTasks:
         self._connection.__enter__()
@@ -110,8 +103,8 @@ class RayTasks:
     def __exit__(self, *exception: Any) -> None:
         import ray
 
-        for task in self._tasks:
-            ray.cancel(task)
+        for reference in self._references:
+            ray.cancel(reference)
         self._connection.__exit__(*exception)
 
     @property
@@ -122,42 +115,29 @@ class RayTasks:
         return int(ray.cluster_resources().get("CPU", 1))
 
     def run(self, task: _Task) -> None:
-        """Run a task to its end.
+        """Run a cell to its end.
 
         Raises:
-            CellError: the task raised an error, or was cancelled.
+            StudyError: the cell raised an error, or was cancelled.
         """
         import ray
 
-        reference = ray.remote(num_cpus=1, max_retries=-1)(_call).remote(task)
-        self._tasks.append(reference)
+        reference = ray.remote(num_cpus=1, max_retries=-1)(_run).remote(*task)
+        self._references.append(reference)
         try:
             ray.get(reference)
         except ray.exceptions.RayError as error:
             cause = getattr(error, "cause", error)
-            raise CellError(f"{type(cause).__name__}: {cause}") from None
+            raise StudyError(f"{type(cause).__name__}: {cause}") from None
         finally:
-            self._tasks.remove(reference)
-
-
-def _call(task: _Task) -> None:
-    task()
-
-
-class Progress(NamedTuple):
-    """Progress of a study."""
-
-    finished: int  #: number of finished cells
-    cells: int  #: number of all cells
-    share: float  #: completed share of the simulated seconds of all cells, in [0, 1]
-    running: dict[Cell, tuple[float, float]]  #: simulated seconds and best distance (m) so far
+            self._references.remove(reference)
 
 
 def run_study(
     config: StudyConfig,
     folder: Path,
     workers: Processes | RayTasks,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: Callable[[int, float], None] | None = None,
 ) -> list[tuple[Cell, str]]:
     """Run all unfinished cells. A cell that fails does not stop the others.
 
@@ -165,7 +145,8 @@ def run_study(
         config: the study.
         folder: folder of the study (see `evolution.study.config.begin`).
         workers: the processes or Ray tasks that run the cells.
-        on_progress: called with the progress twice a second.
+        on_progress: called twice a second with the number of cells that have ended, and with the
+            completed share of the simulated seconds of all cells, in [0, 1].
 
     Returns:
         The cells that failed, each with its error.
@@ -177,14 +158,17 @@ def run_study(
         try:
             for cell in cells:
                 if read_finished(config, cell, folder) is None:
-                    arm, run = config.arms[cell.arm], cell.folder(folder).resolve()
-                    task = partial(_run, arm, run, cell.seed, config.budget_s)
+                    run = cell.folder(folder).resolve()
+                    task = (config.arms[cell.arm], run, cell.seed, config.budget_s)
                     futures[pool.submit(workers.run, task)] = cell
             pending = set(futures)
             while pending:
                 _, pending = wait(pending, _POLL_S, FIRST_COMPLETED)
                 if on_progress is not None:
-                    on_progress(_measure_progress(config, folder, cells, futures))
+                    running = [futures[future].folder(folder) for future in pending]
+                    spent = [min(read_simulated_s(run) / config.budget_s, 1.0) for run in running]
+                    ended = len(cells) - len(pending)
+                    on_progress(ended, (ended + sum(spent)) / len(cells))
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
     errors = {cell: future.exception() for future, cell in futures.items()}
@@ -193,16 +177,4 @@ def run_study(
 
 def _run(arm: Arm, folder: Path, seed: int, budget_s: float) -> None:
     if not arm.run(folder, seed, budget_s):
-        raise ArmError(f"{folder} was interrupted; run the study again to continue")
-
-
-def _measure_progress(
-    config: StudyConfig, folder: Path, cells: list[Cell], futures: dict[Future[None], Cell]
-) -> Progress:
-    running = {cell: read_progress(cell.folder(folder)) for f, cell in futures.items() if f.running()}
-    ended = [future for future in futures if future.done()]
-    failed = sum(future.exception() is not None for future in ended)
-    before = len(cells) - len(futures)
-    partly = sum(min(spent_s / config.budget_s, 1.0) for spent_s, _ in running.values())
-    share = (before + len(ended) + partly) / len(cells)
-    return Progress(before + len(ended) - failed, len(cells), share, running)
+        raise StudyError(f"{folder} was interrupted; run the study again to continue")

@@ -19,13 +19,9 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import read, write_json, writing
 from caterpillar_env.task import EPISODE_S
 from evolution.config import RunConfig
-from evolution.study.arms import Arm, EvolutionArm, make_arm
+from evolution.study.arms import Arm, EvolutionArm, StudyError, make_arm
 
 SETTINGS = "study.json"  #: name of the file with a study's configuration
-
-
-class StudyError(CaterpillarError):
-    """The configuration or the folder of a study is invalid."""
 
 
 class Cell(NamedTuple):
@@ -131,30 +127,23 @@ class StudyConfig:
         """Return the arms with the reference's algorithm, whose generations are comparable."""
         runs = {name: arm.config for name, arm in self.arms.items() if isinstance(arm, EvolutionArm)}
         base = runs.get(self.reference)
-        if base is None:
-            return {}
         return {
-            n: run for n, run in runs.items() if (run.optimizer, run.ga) == (base.optimizer, base.ga)
+            name: run
+            for name, run in runs.items()
+            if base is not None and (run.optimizer, run.ga) == (base.optimizer, base.ga)
         }
 
     def warnings(self) -> list[str]:
-        """Describe the arms whose budget is too short if no evaluation fails early."""
+        """Describe the arms that may not reach the generation at which arms are compared."""
         found = []
-        comparable = self.comparable()
-        for name, arm in self.arms.items():
-            if not isinstance(arm, EvolutionArm):
-                continue
-            needs = {"the first generation": 1}
-            if name in comparable:
-                needs[f"generation {self.generation}, at which arms are compared,"] = self.generation + 1
-            for what, generations in needs.items():
-                needed_s = EPISODE_S * replace(arm.config, generations=generations).evaluations()
-                if needed_s > self.budget_s:
-                    found.append(
-                        f"arms.{name}: {what} may not be completed: it takes up to "
-                        f"{needed_s:g} simulated seconds, and budget_s = {self.budget_s:g}"
-                    )
-                    break
+        for name, run in self.comparable().items():
+            needed_s = EPISODE_S * replace(run, generations=self.generation + 1).evaluations()
+            if needed_s > self.budget_s:
+                found.append(
+                    f"arms.{name}: generation {self.generation}, at which arms are compared, may not be "
+                    f"completed: it takes up to {needed_s:g} simulated seconds, and budget_s = "
+                    f"{self.budget_s:g}"
+                )
         return found
 
 

@@ -16,7 +16,7 @@ from caterpillar_env.arrays import Array
 from caterpillar_env.files import write_json
 from evolution.run.database import JournalError
 from evolution.run.history import History
-from evolution.study.arms import ArmError
+from evolution.study.arms import StudyError
 from evolution.study.config import Cell, StudyConfig
 
 DATA = "evaluations.parquet"  #: name of the file with all evaluations of a study
@@ -31,14 +31,13 @@ class Results(NamedTuple):
 
     table: polars.DataFrame  #: one row per evaluation: arm, seed, wall_s, outcome, genes in SI units
     missing: list[Cell]  #: runs that are not finished
-    environments: int  #: number of different sets of package versions and machines
 
 
 def read_finished(config: StudyConfig, cell: Cell, study: Path) -> History | None:
     """Read a run of a study, or return None if it is missing, unfinished or unreadable.
 
     Raises:
-        ArmError: the run was made with different settings.
+        StudyError: the run was made with different settings.
     """
     folder = cell.folder(study)
     try:
@@ -46,7 +45,7 @@ def read_finished(config: StudyConfig, cell: Cell, study: Path) -> History | Non
     except JournalError:
         return None  # running this cell reports the error
     if not config.arms[cell.arm].matches(history, cell.seed, config.budget_s):
-        raise ArmError(
+        raise StudyError(
             f"{folder} was run with other settings; choose another folder for the study, or remove it"
         )
     return history if history.finished else None
@@ -60,13 +59,11 @@ def collect(config: StudyConfig, folder: Path) -> Results:
     file = folder / DATA
     kept = dict(_split(polars.read_parquet(file))) if file.exists() else {}
     tables, missing, new = [], [], False
-    fingerprints: list[dict[str, str]] = []
     for cell in config.cells():
         history = read_finished(config, cell, folder)
         if history is not None:
             new = True
             tables.append(_to_table(cell, history))
-            fingerprints += [session.fingerprint for session in history.sessions]
         elif cell in kept:
             tables.append(kept[cell])
         else:
@@ -76,7 +73,7 @@ def collect(config: StudyConfig, folder: Path) -> Results:
         partial = folder / f".{DATA}.partial"
         table.write_parquet(partial, compression="zstd", compression_level=19)
         os.replace(partial, file)
-    return Results(table, missing, _count_environments(fingerprints))
+    return Results(table, missing)
 
 
 def _to_table(cell: Cell, history: History) -> polars.DataFrame:
@@ -99,12 +96,6 @@ def _split(table: polars.DataFrame) -> Iterator[tuple[Cell, polars.DataFrame]]:
         yield Cell(str(arm), int(seed)), rows.sort("evaluation")
 
 
-def _count_environments(fingerprints: list[dict[str, str]]) -> int:
-    """Count different versions of what all fingerprints name: kinds of arms use different packages."""
-    shared = set.intersection(*map(set, fingerprints)) if fingerprints else set()
-    return len({tuple(fingerprint[name] for name in sorted(shared)) for fingerprint in fingerprints})
-
-
 class Run(NamedTuple):
     """Progress of one run, in arrays over its E evaluations within the budget."""
 
@@ -116,10 +107,10 @@ class Run(NamedTuple):
     generations: int  #: number of generations completed within the budget
     wall_s: float | None  #: wall time; None if the run was interrupted
 
-    def reaches(self, distance_m: float, horizon_s: float) -> tuple[float, bool]:
-        """Return (time in s, True) if the run reaches a distance, and (`horizon_s`, False) otherwise."""
-        reached = np.flatnonzero(self.best_m >= distance_m)
-        return (float(self.spent_s[reached[0]]), True) if reached.size else (horizon_s, False)
+    def time_to(self, distance_m: float) -> float:
+        """Return the simulated time (s) at which the run reaches a distance; infinite if never."""
+        reached = self.spent_s[self.best_m >= distance_m]
+        return float(reached[0]) if reached.size else float("inf")
 
     def at_generation(self, number: int) -> float:
         """Return the best distance (m) at the end of a generation, or NaN beyond the budget."""
@@ -171,6 +162,5 @@ def read_thresholds(config: StudyConfig, folder: Path, table: polars.DataFrame) 
     if median_m <= 0:
         return []
     found = [share * median_m for share in config.threshold_shares]
-    data = {"thresholds_m": found, "reference": config.reference, "pilot_seeds": config.pilot_seeds}
-    write_json(file, data)
+    write_json(file, {"thresholds_m": found})
     return found

@@ -154,11 +154,6 @@ def a12(a: Array, b: Array) -> Estimate:
     return Estimate(value, low, high)
 
 
-def mann_whitney(a: Array, b: Array) -> float:
-    """Return the p value of the Mann-Whitney U test, which is exact for small groups without ties."""
-    return float(stats.mannwhitneyu(a, b).pvalue)
-
-
 def holm(p: Sequence[float]) -> Array:
     """Return the p values of a family of tests, corrected by Holm's method (1979)."""
     values = np.asarray(p, dtype=float)

@@ -28,10 +28,8 @@ class Winner(NamedTuple):
     recorded_m: float
     reference_m: float  #: distance at the reference timestep
     failure: str  #: failure at the reference timestep, or "ok"
-    friction_m: tuple[float, float]  #: range over `FRICTIONS`; a failure counts as 0
-    mismatch_m: tuple[float, float] | None  #: range over `MISMATCH_SEEDS`, for random springs only
-    timestep_s: float  #: timestep of the evolution
-    friction: float  #: friction of the evolution
+    friction_m: list[float]  #: range over `FRICTIONS`; a failure counts as 0
+    mismatch_m: list[float] | None  #: range over `MISMATCH_SEEDS`, for random springs only
 
     @property
     def artefact(self) -> bool:
@@ -59,12 +57,8 @@ def find_winners(analysis: Analysis, folder: Path) -> list[Winner]:
             known[arm] = simulate_again(arm, best.seed, robot)._asdict()
             write_json(file, known)
         if arm in known:
-            ranges = {key: value and tuple(value) for key, value in known[arm].items() if key in _RANGES}
-            winners.append(Winner(**known[arm] | ranges))
+            winners.append(Winner(**known[arm]))
     return winners
-
-
-_RANGES = ("friction_m", "mismatch_m")
 
 
 def simulate_again(arm: str, seed: int, robot: AnyRobot) -> Winner:
@@ -72,11 +66,11 @@ def simulate_again(arm: str, seed: int, robot: AnyRobot) -> Winner:
     fine = robot.simulate(REFERENCE_TIMESTEP_S)
     random_springs = robot.physics.spring_strengths is None and robot.physics.mismatch_std > 0
 
-    def measure_range(name: str, values: Sequence[float]) -> tuple[float, float]:
+    def measure_range(name: str, values: Sequence[float]) -> list[float]:
         changed = [replace(robot.physics, **{name: value}) for value in values]  # type: ignore[arg-type]
         robots = [replace(cast(Any, robot), physics=physics) for physics in changed]
         distances_m = [float(other.simulate().fitness()[0]) for other in robots]
-        return min(distances_m), max(distances_m)
+        return [min(distances_m), max(distances_m)]
 
     return Winner(
         arm=arm,
@@ -86,6 +80,4 @@ def simulate_again(arm: str, seed: int, robot: AnyRobot) -> Winner:
         failure=label(fine.failure[0]),
         friction_m=measure_range("friction", FRICTIONS),
         mismatch_m=measure_range("mismatch_seed", MISMATCH_SEEDS) if random_springs else None,
-        timestep_s=robot.physics.timestep_s,
-        friction=robot.physics.friction,
     )

@@ -12,7 +12,6 @@ from baselines.arms import TrainArm
 from baselines.config import TrainConfig
 from evolution.run.history import History
 from evolution.study import winners
-from evolution.study.arms import ArmError
 from evolution.study.config import Cell, StudyConfig, StudyError, load, preset
 from evolution.study.results import collect
 
@@ -54,7 +53,6 @@ def test_study_records_both_kinds_within_the_budget(finished):
     config = load(finished)
     results = collect(config, finished)
     assert not results.missing
-    assert results.environments == 1
     spent = results.table.group_by("arm", "seed").agg(polars.col("simulated_s").sum())
     assert set(spent["arm"]) == {"ga", "ppo"}
     ppo_s = spent.filter(polars.col("arm") == "ppo")["simulated_s"].item()
@@ -64,7 +62,8 @@ def test_study_records_both_kinds_within_the_budget(finished):
 @pytest.mark.slow
 def test_report_describes_both_arms(finished):
     page = (finished / "report.html").read_text()
-    assert "Reinforcement learning, ppo timing" in page
+    for arm in ("ga", "ppo"):
+        assert f"<td>{arm}<td>" in page
 
 
 @pytest.mark.slow
@@ -119,7 +118,7 @@ def test_arm_takes_the_physics_of_the_base():
 
 
 def test_other_gait_period_is_rejected():
-    with pytest.raises(ArmError, match="whose gait period is 5 s"):
+    with pytest.raises(StudyError, match="whose gait period is 5 s"):
         TrainArm.from_dict({}, {"gait_period_s": 4.0})
 
 

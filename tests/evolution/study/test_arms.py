@@ -7,7 +7,7 @@ from caterpillar_env.robot import Outcomes
 from evolution.config import RunConfig
 from evolution.run.history import History
 from evolution.run.journal import Journal
-from evolution.study.arms import ArmError, EvolutionArm, make_arm, merge
+from evolution.study.arms import EvolutionArm, StudyError, make_arm, merge
 
 ARM = EvolutionArm(RunConfig(prior="uniform"))
 
@@ -31,12 +31,8 @@ def test_nested_tables_are_merged_and_other_values_replaced():
 
 def test_kind_of_an_arm_must_be_installed():
     assert make_arm({"prior": "uniform"}, {}) == ARM
-    with pytest.raises(ArmError, match="kind = 'magic' must be one of evolution"):
+    with pytest.raises(StudyError, match="kind = 'magic' must be one of evolution"):
         make_arm({"kind": "magic"}, {})
-
-
-def test_title_names_optimizer_and_prior():
-    assert ARM.title == "the genetic algorithm with uniform distributions"
 
 
 def test_runs_of_an_arm_differ_in_their_seed_only():

@@ -66,23 +66,11 @@ def test_pilot_runs_come_first():
     assert config.cells()[0] == Cell("ga-uniform", 8)
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        (
-            {"budget_s": 119},
-            "arms.cma-es: the first generation may not be completed: it takes up to",
-        ),
-        ({"budget_s": 209}, "arms.ga-uniform: generation 1, at which arms are compared, may not"),
-        ({"budget_s": 210}, None),  # 4 evaluations and 3 more, 30 s each
-    ],
-)
-def test_budget_that_is_too_short_gives_a_warning(fields, message):
-    warnings = StudyConfig.from_dict(changed(**fields)).warnings()
-    if message is None:
-        assert warnings == []
-    else:
-        assert any(warning.startswith(message) for warning in warnings)
+def test_budget_that_is_too_short_gives_a_warning():
+    (warning,) = StudyConfig.from_dict(changed(budget_s=209)).warnings()
+    assert warning.startswith("arms.ga-uniform: generation 1, at which arms are compared, may not")
+    # 4 evaluations and 3 more, 30 s each
+    assert StudyConfig.from_dict(changed(budget_s=210)).warnings() == []
 
 
 def test_generations_are_comparable_within_one_algorithm():

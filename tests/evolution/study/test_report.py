@@ -4,8 +4,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import polars
-import pytest
 
 from evolution.study import report
 from evolution.study.analysis import Analysis, Finals, Gain, Times
@@ -46,35 +44,17 @@ def test_survival_ends_at_the_budget():
     assert report.draw_survival(replace(STUDY, thresholds_m=None)) is None
 
 
-def test_failures_are_shares_of_the_evaluations_in_their_tenth_of_the_budget():
-    bars = report.draw_failures(STUDY).axes[0].containers
-    heights = {b.get_label(): [bar.get_height() for bar in b] for b in bars}
-    assert np.flatnonzero(heights["tipped"]).tolist() == [5]  # from 50 to 60 s
-    assert heights["tipped"][5] == 0.5
-    assert not np.any(heights["veered"])
-
-
-def test_genes_are_drawn_in_the_units_of_the_page():
-    genes = CONFIG.arms["ga-uniform"].config.encoding.genes
-    values = {gene.name: [gene.lower, gene.upper] for gene in genes}
-    table = polars.DataFrame({"arm": "ga-uniform", "seed": [0, 1], "generation": 0} | values)
-    axes = {axis.get_title(): axis for axis in report.draw_genes(STUDY, table).axes}
-    assert axes["segment length (mm)"].lines[0].get_ydata() == pytest.approx([29.0])
-    assert axes["segment mass (g)"].lines[0].get_ydata() == pytest.approx([8.0])
-    assert axes["joint limit (°)"].lines[0].get_ydata() == pytest.approx([np.rad2deg(0.6)])
-
-
 def test_page_shows_every_number_in_its_unit(tmp_path):
     ratio = Estimate(2.0, 1.5, np.inf)
     never = Estimate(1600.0, np.nan, np.nan)
     times = Times("ga-uniform", 2, 1, Estimate(60.0, 50.0, 70.0), never, ratio, 0.0162)
     median = Estimate(0.04, 0.03, 0.05)
     finals = Finals("ga-uniform", 2, median, 0.06, 0.25, ratio, 0.0001, 61.5)
-    winner = Winner("ga-uniform", 1, 0.06, 0.0301, "ok", (0.0, 0.07), (0.055, 0.065), 0.005, 0.8)
+    winner = Winner("ga-uniform", 1, 0.06, 0.0301, "ok", [0.0, 0.07], [0.055, 0.065])
     analysis = replace(
         STUDY, runs={}, times={0.05: [times]}, finals=[finals], gains=[Gain("ga-uniform", 2, ratio)]
     )
-    page = report.write(analysis, polars.DataFrame(), [winner], tmp_path).read_text("utf-8")
+    page = report.write(analysis, [winner], tmp_path).read_text("utf-8")
     rows = [row.split("<td>")[1:] for row in re.findall(r"<tr>(<td>.*)</tr>", page)]
     fast = "2.00 (1.50 to ∞)"
     assert rows == [

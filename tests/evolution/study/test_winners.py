@@ -20,7 +20,7 @@ from evolution.study.winners import Winner, find_winners
     [(0.095, "ok", False), (0.089, "ok", True), (0.111, "ok", True), (0.1, "tipped", True)],
 )
 def test_winner_that_changes_at_the_fine_timestep_is_an_artefact(reference_m, failure, artefact):
-    winner = Winner("ga", 0, 0.1, reference_m, failure, (0.0, 0.1), None, 0.005, 0.8)
+    winner = Winner("ga", 0, 0.1, reference_m, failure, [0.0, 0.1], None)
     assert winner.artefact is artefact
 
 
@@ -63,7 +63,7 @@ def study(tmp_path):
     def find(best_m):
         config = StudyConfig({"a": ArtificialArm()}, (0, 1, 2, 3), (9,), 210, reference="a")
         runs = {"a": [make_run(seed, best) for seed, best in best_m.items()]}
-        empty = analyse(config, Results(polars.DataFrame(), [], 0), None)
+        empty = analyse(config, Results(polars.DataFrame(), []), None)
         return find_winners(replace(empty, runs=runs), tmp_path)
 
     return find
@@ -75,8 +75,8 @@ def test_best_robot_of_an_arm_is_simulated_under_other_conditions(study, tmp_pat
     first = study({0: 0.2, 1: 0.3})
     assert first == [
         Winner(
-            "a", 1, 0.3, pytest.approx(0.3 - 0.00025), "ok", (0.0, pytest.approx(0.5)),
-            (pytest.approx(0.301001), pytest.approx(0.301004)), 0.0025, 0.8,
+            "a", 1, 0.3, pytest.approx(0.3 - 0.00025), "ok", [0.0, pytest.approx(0.5)],
+            [pytest.approx(0.301001), pytest.approx(0.301004)],
         )
     ]  # fmt: skip
     assert (tmp_path / "winners" / "a.json").read_text() == "0.3"
