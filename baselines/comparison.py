@@ -67,7 +67,7 @@ def draw(groups: Mapping[str, Sequence[Training]], path: Path) -> None:
     """Plot the distance of each deterministic policy over simulated time.
 
     Raises:
-        FileError: the file cannot be written.
+        CaterpillarError: the file cannot be written.
     """
     figure = Figure(figsize=(8, 4.6), layout="constrained")
     axis = figure.subplots()

@@ -58,7 +58,7 @@ def train(
         threads: number of simulation threads; 0 uses all cores. Results do not depend on it.
 
     Raises:
-        FileError: the folder is not empty or cannot be written.
+        CaterpillarError: the folder is not empty or cannot be written.
         TrainingError: the budget is too small, or TensorBoard is not installed.
     """
     if tensorboard and find_spec("tensorboard") is None:

@@ -10,13 +10,7 @@ from typing import Any
 
 import gymnasium as _gymnasium
 
-from caterpillar_env.errors import (
-    CaterpillarError,
-    MorphologyError,
-    PhysicsError,
-    SimulationError,
-    TimingError,
-)
+from caterpillar_env.errors import CaterpillarError
 
 __all__ = [
     "PARAMETERS",
@@ -26,14 +20,10 @@ __all__ = [
     "Failure",
     "GaitTimings",
     "Morphology",
-    "MorphologyError",
     "Outcomes",
     "Physics",
-    "PhysicsError",
     "Robot",
-    "SimulationError",
     "SmaSpring",
-    "TimingError",
     "simulate",
 ]
 

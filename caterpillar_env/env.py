@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from caterpillar_env.drawing.backend import has_display
 from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.episodes import ActionMode, EpisodeConfig, Episodes, check_options
-from caterpillar_env.errors import SimulationError
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
@@ -97,7 +97,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         EzPickle.__init__(self, **arguments)
         modes = [m for m in self.metadata["render_modes"] if m != "human" or has_display()]
         if render_mode is not None and render_mode not in modes:
-            raise SimulationError(
+            raise CaterpillarError(
                 f"render_mode must be None or one of {', '.join(modes)}; got {render_mode!r}"
                 + ('. "human" needs a display, and DISPLAY is not set' if len(modes) < 4 else "")
             )
@@ -151,7 +151,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Advance by `frame_skip` gait periods (timing) or control intervals (switch)."""
         if not self._running:
-            raise SimulationError("call reset() before step()")
+            raise CaterpillarError("call reset() before step()")
         live = self.on_interval is not None or self.render_mode in ("human", "rgb_array_list")
         step = self._episodes.step(
             self._episodes.check_actions([action], 1),
@@ -177,7 +177,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
             frames, self._frames = self._frames, []
             return frames
         if not self._running:
-            raise SimulationError("call reset() before render()")
+            raise CaterpillarError("call reset() before render()")
         return self._pictures.draw(0, self.render_mode)
 
     def close(self) -> None:

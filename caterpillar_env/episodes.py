@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array, Rows
-from caterpillar_env.errors import MorphologyError, SimulationError, TimingError, check_choice
+from caterpillar_env.errors import CaterpillarError, check_choice
 from caterpillar_env.gait import GaitTimings, count_steps
 from caterpillar_env.model import joint_names
 from caterpillar_env.morphology import NAMES, Morphology
@@ -52,9 +52,9 @@ class EpisodeConfig:
     terminate_on_failure: bool
 
     def __post_init__(self) -> None:
-        check_choice("action_mode", self.action_mode, ActionMode, SimulationError)
+        check_choice("action_mode", self.action_mode, ActionMode)
         if not isinstance(self.frame_skip, int) or self.frame_skip < 1:
-            raise SimulationError(
+            raise CaterpillarError(
                 "frame_skip must be a whole number of control intervals (switch) or gait periods "
                 f"(timing), 1 or more; got {self.frame_skip!r}"
             )
@@ -63,7 +63,7 @@ class EpisodeConfig:
         ):  # fmt: skip
             value = getattr(self, name)
             if not (isinstance(value, (int, float, np.number)) and 0 <= value < np.inf):
-                raise SimulationError(f"{name} must be finite and not negative; got {value!r}")
+                raise CaterpillarError(f"{name} must be finite and not negative; got {value!r}")
         count_steps(self.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
         count_steps(self.episode_s, CONTROL_INTERVAL_S, "episode_s")
         if self.randomization is not None:
@@ -216,7 +216,7 @@ class Episodes:
         """Return the actions of `count` robots as an array with one row per robot.
 
         Raises:
-            TimingError: the shape is wrong, or a value is not finite or, in switch mode, not 0 or 1.
+            CaterpillarError: the shape is wrong, or a value is not finite or, to switch, not 0 or 1.
         """
         expected = (count, *self.action_space.shape)
         try:
@@ -225,14 +225,14 @@ class Episodes:
         except (TypeError, ValueError):
             array, got = np.empty(0), repr(actions)
         if array.shape != expected:
-            raise TimingError(
+            raise CaterpillarError(
                 f"actions must be numbers of shape {expected[1:]} per robot, {expected} in all; "
                 f"got {got}"
             )
         if not np.isfinite(array).all():
-            raise TimingError(f"actions must be finite; got {actions!r}")
+            raise CaterpillarError(f"actions must be finite; got {actions!r}")
         if self.config.action_mode == "switch" and not ((array == 0) | (array == 1)).all():
-            raise TimingError(f"switch actions must be 0 (off) or 1 (on); got {actions!r}")
+            raise CaterpillarError(f"switch actions must be 0 (off) or 1 (on); got {actions!r}")
         return array
 
     def _power(self, actions: Array) -> Array:
@@ -293,14 +293,14 @@ def read_morphologies(value: Any, num_envs: int) -> list[Morphology]:
         num_envs: number of robots.
 
     Raises:
-        MorphologyError: a body is invalid, or the number of bodies is wrong.
+        CaterpillarError: a body is invalid, or the number of bodies is wrong.
     """
     if not isinstance(value, (Morphology, Mapping, Sequence)):
         value = np.atleast_1d(value)
     if isinstance(value, (Morphology, Mapping)) or (len(value) and np.isscalar(value[0])):
         return [Morphology.of(value)] * num_envs
     if len(value) != num_envs:
-        raise MorphologyError(
+        raise CaterpillarError(
             f"morphology must be one body for all robots, a list of {num_envs} bodies, or an array of "
             f"shape ({num_envs}, 8); got {len(value)}"
         )
@@ -311,11 +311,11 @@ def check_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) -> 
     """Return the reset options as a new dict.
 
     Raises:
-        SimulationError: `options` is not a mapping, or a key is not in `known`.
+        CaterpillarError: `options` is not a mapping, or a key is not in `known`.
     """
     if options is None:
         return {}
     if not isinstance(options, Mapping) or not set(options) <= set(known):
         got = sorted(map(str, set(options) - set(known))) if isinstance(options, Mapping) else options
-        raise SimulationError(f"reset options are {', '.join(known)}; got {got}")
+        raise CaterpillarError(f"reset options are {', '.join(known)}; got {got}")
     return dict(options)

@@ -10,26 +10,12 @@ T = TypeVar("T")
 
 
 class CaterpillarError(ValueError):
-    """Base class of the errors of this project."""
+    """A value, a file or a call that does not fit; base class of the other errors of this project."""
 
 
-class MorphologyError(CaterpillarError):
-    """A body parameter is missing, unknown, not finite or out of bounds."""
-
-
-class TimingError(CaterpillarError):
-    """Times have the wrong shape, are not finite or out of range, or are not a multiple of the step."""
-
-
-class PhysicsError(CaterpillarError):
-    """A physical or numerical parameter is invalid."""
-
-
-class SimulationError(CaterpillarError):
-    """A simulation got invalid settings, rows or shapes, or was called in the wrong order."""
-
-
-def from_mapping(kind: type[T], value: Any, what: str, error: type[CaterpillarError]) -> T:
+def from_mapping(
+    kind: type[T], value: Any, what: str, error: type[CaterpillarError] = CaterpillarError
+) -> T:
     """Create a dataclass from a mapping of fields. Missing fields keep their defaults.
 
     Args:
@@ -51,7 +37,9 @@ def from_mapping(kind: type[T], value: Any, what: str, error: type[CaterpillarEr
     return kind(**value)
 
 
-def check_choice(name: str, value: Any, choices: Any, error: type[CaterpillarError]) -> None:
+def check_choice(
+    name: str, value: Any, choices: Any, error: type[CaterpillarError] = CaterpillarError
+) -> None:
     """Raise `error` unless `value` is one of the values of the `Literal` type `choices`."""
     known = get_args(choices)
     if value not in known:

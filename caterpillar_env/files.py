@@ -14,16 +14,12 @@ from caterpillar_env.errors import CaterpillarError
 T = TypeVar("T")
 
 
-class FileError(CaterpillarError):
-    """A file or folder cannot be written."""
-
-
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn errors from writing to `path` into a `FileError` with advice.
+    """Turn errors from writing to `path` into a `CaterpillarError` with advice.
 
     Raises:
-        FileError: the block raised an OSError or a ValueError.
+        CaterpillarError: the block raised an OSError or a ValueError.
     """
     try:
         yield
@@ -31,7 +27,7 @@ def writing(path: Path) -> Iterator[None]:
         if isinstance(error, CaterpillarError):
             raise
         why = getattr(error, "strerror", None) or error
-        raise FileError(f"cannot write {path}: {why}; choose another place with --out") from None
+        raise CaterpillarError(f"cannot write {path}: {why}; choose another place with --out") from None
 
 
 def make_folder(path: Path, otherwise: str) -> None:
@@ -42,12 +38,12 @@ def make_folder(path: Path, otherwise: str) -> None:
         otherwise: advice to append to the message if the folder is not empty.
 
     Raises:
-        FileError: the folder is not empty or cannot be created.
+        CaterpillarError: the folder is not empty or cannot be created.
     """
     with writing(path):
         path.mkdir(parents=True, exist_ok=True)
         if any(path.iterdir()):
-            raise FileError(f"{path} is not empty; choose another with --out{otherwise}")
+            raise CaterpillarError(f"{path} is not empty; choose another with --out{otherwise}")
 
 
 def unused(parent: Path, name: str) -> Path:
@@ -68,18 +64,18 @@ def write_json(path: Path, data: Any) -> None:
 def read(
     path: Path,
     make: Callable[[Any], T],
-    error: type[CaterpillarError],
     missing: str,
     parse: Callable[[str], Any] = json.loads,
+    error: type[CaterpillarError] = CaterpillarError,
 ) -> T:
     """Read, parse and convert a text file.
 
     Args:
         path: path of the file.
         make: function that converts the parsed data to the result.
-        error: error class to raise if the file is missing or invalid.
         missing: advice for the message if the file is missing.
         parse: function that parses the text.
+        error: error class to raise if the file is missing or invalid.
     """
     try:
         data = parse(path.read_text(encoding="utf-8"))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import TimingError
+from caterpillar_env.errors import CaterpillarError
 
 #: Default gait period: a spring takes about 1 s to heat and 2.8 s to cool by 90 %. An episode of 30 s
 #: has six periods.
@@ -51,7 +51,7 @@ class GaitTimings:
         off_s: switch-off times, s, in [0, period_s], same shape.
 
     Raises:
-        TimingError: shapes differ, or a time is not finite or outside [0, period_s].
+        CaterpillarError: shapes differ, or a time is not finite or outside [0, period_s].
     """
 
     period_s: float
@@ -61,18 +61,18 @@ class GaitTimings:
     def __post_init__(self) -> None:
         number = isinstance(self.period_s, (int, float, np.number))
         if not number or not 0 < self.period_s < np.inf:
-            raise TimingError(f"period_s = {self.period_s!r} must be a positive number of seconds")
+            raise CaterpillarError(f"period_s = {self.period_s!r} must be a positive number of seconds")
         for name in ("on_s", "off_s"):
             times = np.array(getattr(self, name), dtype=np.float64)
             bad = ~((times >= 0) & (times <= self.period_s))
             if bad.any():
-                raise TimingError(
+                raise CaterpillarError(
                     f"{name} must lie in [0, {self.period_s:g}] s (the gait period); got {times[bad][0]}"
                 )
             times.flags.writeable = False
             object.__setattr__(self, name, times)
         if self.on_s.shape != self.off_s.shape:
-            raise TimingError(
+            raise CaterpillarError(
                 f"on_s and off_s must have the same shape; got {self.on_s.shape} and {self.off_s.shape}"
             )
 
@@ -106,13 +106,13 @@ class GaitTimings:
         """Return the timings of all springs. `self` holds those of the springs or of mirrored pairs.
 
         Raises:
-            TimingError: the number of times matches neither the springs nor the pairs.
+            CaterpillarError: the number of times matches neither the springs nor the pairs.
         """
         given = self.on_s.shape[-1] if self.on_s.ndim else 0
         if given == num_springs:
             return self
         if given * SPRINGS_PER_GAP != num_springs * PAIRS_PER_GAP:
-            raise TimingError(
+            raise CaterpillarError(
                 f"a gait must have times of {num_springs} springs or {num_springs // 2} mirrored pairs; "
                 f"got {given}"
             )
@@ -128,7 +128,7 @@ class GaitTimings:
             Values in [0, 1], shape (..., steps, springs).
 
         Raises:
-            TimingError: the period is not a multiple of `step_s`.
+            CaterpillarError: the period is not a multiple of `step_s`.
         """
         steps = count_steps(self.period_s, step_s, "the gait period")
         edges = np.linspace(0.0, self.period_s, steps + 1)[:, None]
@@ -143,11 +143,11 @@ def count_steps(duration_s: float, step_s: float, what: str) -> int:
     """Return the number of steps in a duration.
 
     Raises:
-        TimingError: the duration is not a positive multiple of `step_s`. The message calls it `what`.
+        CaterpillarError: the duration, called `what`, is not a positive multiple of `step_s`.
     """
     finite = isinstance(duration_s, (int, float, np.number)) and np.isfinite(duration_s)
     count = round(duration_s / step_s) if finite else 0
     shown = f"{duration_s:g}" if finite else repr(duration_s)
     if count < 1 or abs(count * step_s - duration_s) > 1e-9 * max(1.0, duration_s):
-        raise TimingError(f"{what} of {shown} s must be a whole multiple of {step_s:g} s")
+        raise CaterpillarError(f"{what} of {shown} s must be a whole multiple of {step_s:g} s")
     return count

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import MorphologyError, from_mapping
+from caterpillar_env.errors import CaterpillarError, from_mapping
 
 
 class Parameter(NamedTuple):
@@ -53,7 +53,7 @@ class Morphology:
     therefore has the length L + 2x in a straight body.
 
     Raises:
-        MorphologyError: a value is not a number within its bounds (see `PARAMETERS`).
+        CaterpillarError: a value is not a number within its bounds (see `PARAMETERS`).
     """
 
     leg_separation_m: float = PARAMETERS[0].nominal
@@ -71,7 +71,7 @@ class Morphology:
             is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
             number = float(value) if is_number else float("nan")
             if not p.lower <= number <= p.upper:
-                raise MorphologyError(
+                raise CaterpillarError(
                     f"{p.name} = {value!r} must be in [{p.lower:g}, {p.upper:g}] {p.unit} "
                     f"({p.description}, {p.symbol} in the paper)"
                 )
@@ -86,18 +86,18 @@ class Morphology:
                 nominal; or all eight values in the order of `NAMES`, SI units, shape (8,).
 
         Raises:
-            MorphologyError: a name is unknown, the shape is wrong, or a value is out of bounds.
+            CaterpillarError: a name is unknown, the shape is wrong, or a value is out of bounds.
         """
         if isinstance(value, Morphology):
             return value
         if isinstance(value, Mapping):
-            return from_mapping(cls, value, "a morphology", MorphologyError)
+            return from_mapping(cls, value, "a morphology")
         try:
             array = np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError):
             array = np.empty(0)
         if array.shape != (len(PARAMETERS),):
-            raise MorphologyError(
+            raise CaterpillarError(
                 f"a morphology must be a mapping or {len(PARAMETERS)} numbers ({', '.join(NAMES)}); "
                 f"got {value!r}"
             )
@@ -134,12 +134,12 @@ def segments_of(body: Body, num_segments: int) -> tuple[Morphology, ...]:
     """Return the morphology of each segment, from head to tail.
 
     Raises:
-        MorphologyError: `body` is neither one morphology nor one per segment.
+        CaterpillarError: `body` is neither one morphology nor one per segment.
     """
     if isinstance(body, Morphology):
         return (body,) * num_segments
     if len(body) != num_segments:
-        raise MorphologyError(
+        raise CaterpillarError(
             f"the body of a robot with {num_segments} segments must be one morphology for all of them "
             f"or a tuple of {num_segments}; got {len(body)}"
         )

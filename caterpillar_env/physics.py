@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import PhysicsError, TimingError, check_choice, from_mapping
+from caterpillar_env.errors import CaterpillarError, check_choice, from_mapping
 from caterpillar_env.gait import SPRINGS_PER_GAP, count_steps
 from caterpillar_env.sma import SmaSpring
 
@@ -37,7 +37,7 @@ class Physics:
     For sources and plausible ranges, see docs/physics.md and docs/sources.md.
 
     Raises:
-        PhysicsError: a value has the wrong type or is out of range.
+        CaterpillarError: a value has the wrong type or is out of range.
     """
 
     num_segments: int = 4  #: number of segments, at least 2
@@ -66,39 +66,39 @@ class Physics:
 
     def __post_init__(self) -> None:
         if not isinstance(self.spring, SmaSpring):
-            spring = from_mapping(SmaSpring, self.spring, "spring", PhysicsError)
+            spring = from_mapping(SmaSpring, self.spring, "spring")
             object.__setattr__(self, "spring", spring)
         for name, (lower, upper) in _INTEGERS.items():
             value = getattr(self, name)
             if not isinstance(value, (int, np.integer)) or not lower <= int(value) <= upper:
-                raise PhysicsError(f"{name} = {value!r} must be an integer from {lower} to {upper}")
+                raise CaterpillarError(f"{name} = {value!r} must be an integer from {lower} to {upper}")
             object.__setattr__(self, name, int(value))
         for name, choices in _CHOICES.items():
-            check_choice(name, getattr(self, name), choices, PhysicsError)
+            check_choice(name, getattr(self, name), choices)
         for name in (f.name for f in fields(self) if isinstance(f.default, float)):
             value, sign = getattr(self, name), "positive" if name in _POSITIVE else "non-negative"
             is_number = isinstance(value, (int, float)) and 0 <= value < math.inf
             if not is_number or (value == 0 and name in _POSITIVE):
-                raise PhysicsError(f"{name} = {value!r} must be a finite, {sign} number")
+                raise CaterpillarError(f"{name} = {value!r} must be a finite, {sign} number")
         if self.spring_strengths is not None:
             object.__setattr__(self, "spring_strengths", self._check_strengths(self.spring_strengths))
         try:
             count_steps(SMA_STEP_S, self.timestep_s, "the thermal step")
-        except TimingError:
-            raise PhysicsError(
+        except CaterpillarError:
+            raise CaterpillarError(
                 f"timestep_s = {self.timestep_s:g} must divide the thermal step of {SMA_STEP_S:g} s; "
                 "choose for example 0.01, 0.005, 0.0025 or 0.001"
             ) from None
 
     def _check_strengths(self, value: Any) -> tuple[float, ...]:
-        """Return spring strengths as a tuple, or raise `PhysicsError`."""
+        """Return valid spring strengths as a tuple."""
         is_valid = (
             isinstance(value, (tuple, list))
             and len(value) == self.num_springs
             and all(isinstance(s, (int, float)) and 0 < s < math.inf for s in value)
         )
         if not is_valid:
-            raise PhysicsError(
+            raise CaterpillarError(
                 f"spring_strengths = {value!r} must be {self.num_springs} positive numbers"
             )
         return tuple(map(float, value))
@@ -113,11 +113,11 @@ class Physics:
         """Return `value` as a `Physics`. Fields that are missing in a mapping keep their defaults.
 
         Raises:
-            PhysicsError: a field is unknown or its value is invalid.
+            CaterpillarError: a field is unknown or its value is invalid.
         """
         if isinstance(value, Physics):
             return value
-        return from_mapping(cls, value or {}, "physics", PhysicsError)
+        return from_mapping(cls, value or {}, "physics")
 
     def to_dict(self) -> dict[str, Any]:
         """Return all fields by name, for JSON. `spring` is a nested mapping."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from caterpillar_env.errors import PhysicsError, from_mapping
+from caterpillar_env.errors import CaterpillarError, from_mapping
 from caterpillar_env.ground import condim
 from caterpillar_env.model import trim_tendons
 from caterpillar_env.physics import Physics, mismatched
@@ -37,7 +37,7 @@ class Randomization:
     """Ranges to sample conditions from, uniformly, at each reset. None keeps the value of `Physics`.
 
     Raises:
-        PhysicsError: a range is not a pair of increasing numbers, or is out of bounds.
+        CaterpillarError: a range is not a pair of increasing numbers, or is out of bounds.
     """
 
     friction: Range | None = None  #: coefficient of feet and elements on the ground
@@ -57,7 +57,7 @@ class Randomization:
                 low, high = math.nan, math.nan
             minimum, exclusive = _MINIMUM[f.name]
             if not (low <= high < math.inf and (low > minimum if exclusive else low >= minimum)):
-                raise PhysicsError(
+                raise CaterpillarError(
                     f"randomization of {f.name} must be two numbers in increasing order, "
                     f"{'above' if exclusive else 'at least'} {minimum:g}; got {value!r}"
                 )
@@ -68,21 +68,21 @@ class Randomization:
         """Return `value` as a `Randomization`, or None if it randomizes nothing.
 
         Raises:
-            PhysicsError: a field is unknown or its value is invalid.
+            CaterpillarError: a field is unknown or its value is invalid.
         """
         if not isinstance(value, Randomization):
-            value = from_mapping(cls, {} if value is None else value, "randomization", PhysicsError)
+            value = from_mapping(cls, {} if value is None else value, "randomization")
         return None if value == cls() else value
 
     def check(self, physics: Physics) -> None:
         """Check that springs can cool down at every air temperature in the range.
 
         Raises:
-            PhysicsError: `ambient_c` reaches the martensite finish temperature Mf.
+            CaterpillarError: `ambient_c` reaches the martensite finish temperature Mf.
         """
         finish_c = physics.spring.martensite_finish_c
         if self.ambient_c is not None and self.ambient_c[1] >= finish_c:
-            raise PhysicsError(
+            raise CaterpillarError(
                 f"randomization of ambient_c must end below {finish_c:g} degC (Mf), so that springs "
                 f"can cool down; got {self.ambient_c}"
             )

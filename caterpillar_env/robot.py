@@ -26,10 +26,6 @@ _CHUNK_STEPS = 10 * STEPS_PER_INTERVAL
 _TIMED = {"pairs": pair_names, "springs": spring_names}
 
 
-class RobotError(CaterpillarError):
-    """A file does not describe a robot."""
-
-
 class Outcomes(NamedTuple):
     """Outcomes of P robots."""
 
@@ -177,7 +173,7 @@ class Robot:
             CaterpillarError: a field is missing or invalid.
         """
         if not isinstance(data, dict) or data.get("format") != FORMAT:
-            raise RobotError(
+            raise CaterpillarError(
                 f'no robot: expected JSON with "format": "{FORMAT}", as in best.json (a trained policy '
                 "crawls by caterpillar rl eval)"
             )
@@ -186,7 +182,7 @@ class Robot:
             kind = "springs" if "springs" in data["gait"] else "pairs"
             names, given = _TIMED[kind](physics.num_segments), data["gait"][kind]
             if set(given) != set(names):
-                raise RobotError(f"gait.{kind} must be {', '.join(names)}; got {', '.join(given)}")
+                raise CaterpillarError(f"gait.{kind} must be {', '.join(names)}; got {', '.join(given)}")
             body = data["morphology"]
             if isinstance(body, list) and body and isinstance(body[0], dict):
                 body = segments_of(tuple(map(_segment, body)), physics.num_segments)
@@ -202,7 +198,7 @@ class Robot:
         except CaterpillarError:
             raise
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise RobotError(f"the robot lacks a part, or one is unusable: {error}") from None
+            raise CaterpillarError(f"the robot lacks a part, or one is unusable: {error}") from None
 
     def save(self, path: str | Path) -> None:
         """Write the robot as JSON."""
@@ -218,14 +214,12 @@ class Robot:
         path, advice = Path(path), "give a run folder or the JSON file of one robot"
         if os.path.isdir(path):
             if not (path / "best.json").exists():
-                raise RobotError(
+                raise CaterpillarError(
                     f"{path} holds no best.json: it is no run folder, or no robot of the run has "
                     f"crawled forwards without failing yet; {advice}"
                 )
             path = path / "best.json"
-        return read(
-            path, cls.from_dict, RobotError, f"{advice} (for a trained policy: caterpillar rl eval)"
-        )
+        return read(path, cls.from_dict, f"{advice} (for a trained policy: caterpillar rl eval)")
 
 
 def _segment(data: Any) -> Morphology:

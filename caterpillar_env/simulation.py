@@ -17,7 +17,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array, Rows
-from caterpillar_env.errors import SimulationError
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import count_steps
 from caterpillar_env.ground import STANCE_M, clearances_m, half_axes_m, loads_n, touching_geoms
 from caterpillar_env.machine import cores
@@ -59,13 +59,13 @@ class Simulation:
         simulated_s: time simulated so far, summed over the rows, s.
 
     Raises:
-        SimulationError: there are no bodies, or the number of threads is negative.
-        MorphologyError: the number of segments of a body differs from that of `physics`.
+        CaterpillarError: there are no bodies, the number of threads is negative, or the number of
+            segments of a body differs from that of `physics`.
     """
 
     def __init__(self, bodies: Sequence[Body], physics: Physics, threads: int = 0) -> None:
         if not len(bodies) or threads < 0:
-            raise SimulationError(
+            raise CaterpillarError(
                 "a simulation needs at least one body and threads >= 0 (0: all usable cores); got "
                 f"{len(bodies)} bodies and {threads} threads"
             )
@@ -112,13 +112,13 @@ class Simulation:
             conditions: conditions of each of these robots; those of `physics` by default.
 
         Raises:
-            SimulationError: the number of bodies differs from the number of rows.
+            CaterpillarError: the number of bodies differs from the number of rows.
         """
         index = self.rows(rows)
         if bodies is None:
             bodies = [self.bodies[row] for row in index]
         if len(bodies) != len(index):
-            raise SimulationError(
+            raise CaterpillarError(
                 f"bodies must have one entry for each of {len(index)} rows; got {len(bodies)}"
             )
         met = [None] * len(index) if conditions is None else conditions
@@ -164,12 +164,12 @@ class Simulation:
             standing: whether to raise or lower each robot until its lowest point touches the ground.
 
         Raises:
-            SimulationError: `qpos` has the wrong shape.
+            CaterpillarError: `qpos` has the wrong shape.
         """
         index = self.rows(rows)
         expected = (len(index), self._qpos.shape[1])
         if qpos.shape != expected:
-            raise SimulationError(f"qpos must have shape {expected}; got {qpos.shape}")
+            raise CaterpillarError(f"qpos must have shape {expected}; got {qpos.shape}")
         self._qpos[index], self._qvel[index] = qpos, qvel
         self._refresh(index)
         if standing:
@@ -187,11 +187,11 @@ class Simulation:
             rows: indices of the robots to heat, (R,); all by default.
 
         Raises:
-            SimulationError: `power` has the wrong shape.
+            CaterpillarError: `power` has the wrong shape.
         """
         index, spring = self.rows(rows), self.physics.spring
         if power.ndim != 3 or power[:, 0].shape != (len(index), self.physics.num_springs):
-            raise SimulationError(
+            raise CaterpillarError(
                 f"power must have shape ({len(index)}, steps, {self.physics.num_springs}); "
                 f"got {power.shape}"
             )

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import PhysicsError
+from caterpillar_env.errors import CaterpillarError
 
 #: Number of temperatures at which each branch is tabulated.
 _NODES = 1025
@@ -35,8 +35,8 @@ class SmaSpring:
     """Wire, coil and drive of one spring. For the sources of the values, see docs/sources.md.
 
     Raises:
-        PhysicsError: a value is not a finite number, a value has the wrong sign, or the transformation
-            temperatures do not form a hysteresis loop.
+        CaterpillarError: a value is not a finite number or has the wrong sign, or the transformation
+            temperatures form no hysteresis loop.
     """
 
     wire_diameter_m: float = 0.15e-3  #: as in the BMX150 micro coil
@@ -66,19 +66,19 @@ class SmaSpring:
             value = getattr(self, name)
             is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if not is_number or not math.isfinite(value):
-                raise PhysicsError(f"{name} = {value!r} must be a finite number")
+                raise CaterpillarError(f"{name} = {value!r} must be a finite number")
             if name in ("latent_heat_j_kg", "drive_current_a"):
                 if value < 0:
-                    raise PhysicsError(f"{name} = {value:g} must not be negative")
+                    raise CaterpillarError(f"{name} = {value:g} must not be negative")
             elif value <= 0 and name != "ambient_c":
-                raise PhysicsError(f"{name} = {value:g} must be positive")
+                raise CaterpillarError(f"{name} = {value:g} must be positive")
         is_loop = (
             self.ambient_c < self.martensite_finish_c < self.martensite_start_c
             and self.martensite_finish_c < self.austenite_start_c < self.austenite_finish_c
             and self.martensite_start_c < self.austenite_finish_c < self.cut_off_c
         )
         if not is_loop:
-            raise PhysicsError(
+            raise CaterpillarError(
                 "transformation temperatures must satisfy ambient < Mf < Ms < Af < cut-off and "
                 f"Mf < As < Af; got ambient {self.ambient_c:g}, Mf {self.martensite_finish_c:g}, "
                 f"Ms {self.martensite_start_c:g}, As {self.austenite_start_c:g}, "

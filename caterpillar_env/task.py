@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array, Rows
-from caterpillar_env.errors import SimulationError
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import count_steps
 from caterpillar_env.morphology import Body
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
@@ -209,12 +209,12 @@ class Crawl:
             intervals: maximum number of control intervals of each robot, (R,); no limit by default.
 
         Raises:
-            SimulationError: `power` has the wrong shape or a wrong number of steps.
+            CaterpillarError: `power` has the wrong shape or a wrong number of steps.
         """
         index = self.simulation.rows(rows)
         steps = power.shape[1] if power.ndim == 3 else -1
         if steps < 0 or steps % STEPS_PER_INTERVAL or len(power) != len(index):
-            raise SimulationError(
+            raise CaterpillarError(
                 f"power must have shape ({len(index)}, n * {STEPS_PER_INTERVAL}, "
                 f"{self.physics.num_springs}); got {power.shape}"
             )

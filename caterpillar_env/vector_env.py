@@ -21,7 +21,7 @@ from caterpillar_env.episodes import (
     check_options,
     read_morphologies,
 )
-from caterpillar_env.errors import SimulationError
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
@@ -83,7 +83,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
     ) -> None:
         config = EpisodeConfig.of(locals())
         if render_mode not in (None, "rgb_array"):
-            raise SimulationError(
+            raise CaterpillarError(
                 f'render_mode of the vector environment must be None or "rgb_array"; got {render_mode!r}'
             )
         bodies = read_morphologies({} if morphology is None else morphology, num_envs)
@@ -142,7 +142,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         chosen = check_options(options, ("morphology", "reset_mask"))
         mask = np.asarray(chosen.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
-            raise SimulationError(
+            raise CaterpillarError(
                 f"reset_mask must be a bool array of shape ({self.num_envs},) with a True in it; "
                 f"got {mask}"
             )
@@ -161,7 +161,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         else:
             seeds = list(seed)
         if len(seeds) != self.num_envs:
-            raise SimulationError(f"seed must be an integer or {self.num_envs} of them; got {seed!r}")
+            raise CaterpillarError(f"seed must be an integer or {self.num_envs} of them; got {seed!r}")
         if not self._generators:
             self._generators = [np_random(s)[0] for s in seeds]
         for row in np.flatnonzero(mask):
@@ -173,10 +173,10 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
     ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Advance all rows by one step. Rows whose episode has ended follow `autoreset_mode`."""
         if not self._generators:
-            raise SimulationError("call reset() before step()")
+            raise CaterpillarError("call reset() before step()")
         actions = self._episodes.check_actions(actions, self.num_envs)
         if self._mode is AutoresetMode.DISABLED and self._done.any():
-            raise SimulationError(
+            raise CaterpillarError(
                 f"rows {np.flatnonzero(self._done).tolist()} have ended: reset them with "
                 'options={"reset_mask": ...} before stepping'
             )

@@ -45,16 +45,12 @@ _ENCODING: dict[str, dict[str, Any]] = {
 }
 
 
-class VideoError(CaterpillarError):
-    """The settings of a video are invalid, or its file cannot be written."""
-
-
 @dataclass(frozen=True)
 class VideoConfig:
     """Speed, size and camera of a video.
 
     Raises:
-        VideoError: a value is out of range.
+        CaterpillarError: a value is out of range.
     """
 
     speed: float = 2.0
@@ -68,13 +64,13 @@ class VideoConfig:
 
     def __post_init__(self) -> None:
         if not 0 < self.speed < math.inf:
-            raise VideoError(
+            raise CaterpillarError(
                 f"speed = {self.speed} must be a positive number of simulated seconds per second"
             )
         for name in ("width", "height"):
             pixels = getattr(self, name)
             if pixels is not None and (pixels % 2 or not _MIN_TILE_PX <= pixels <= 4096):
-                raise VideoError(
+                raise CaterpillarError(
                     f"{name} = {pixels} must be an even number of pixels from {_MIN_TILE_PX} to 4096"
                 )
 
@@ -82,14 +78,14 @@ class VideoConfig:
         """Return the frame width and height, and the number of columns and rows, for `count` tiles.
 
         Raises:
-            VideoError: the tiles would be too small.
+            CaterpillarError: the tiles would be too small.
         """
         columns = math.ceil(math.sqrt(count))
         rows = math.ceil(count / columns)
         width, height = _SINGLE_PX if count == 1 else (_TILE_PX[0] * columns, _TILE_PX[1] * rows)
         width, height = self.width or width, self.height or height
         if min(width // columns, height // rows) < _MIN_TILE_PX:
-            raise VideoError(
+            raise CaterpillarError(
                 f"{count} robots in {width} x {height} pixels would have tiles smaller than "
                 f"{_MIN_TILE_PX} pixels; choose a larger width and height"
             )
@@ -168,7 +164,7 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
 
     Raises:
         RenderingError: rendering is not possible on this machine.
-        VideoError: the file type is unknown, the tiles are too small, or writing fails.
+        CaterpillarError: the file type is unknown, the tiles are too small, or writing fails.
     """
     config = config or VideoConfig()
     check_path(path)
@@ -205,7 +201,7 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
             writer.close()
             os.replace(partial, path)
         except OSError as error:
-            raise VideoError(f"cannot write {path}: {str(error).splitlines()[0]}") from None
+            raise CaterpillarError(f"cannot write {path}: {str(error).splitlines()[0]}") from None
 
 
 def is_video_of(path: Path, robot: AnyRobot) -> bool:
@@ -220,11 +216,13 @@ def check_path(path: Path) -> None:
     """Check that a video can be written to `path`.
 
     Raises:
-        VideoError: the suffix is not .mp4 or .gif, or the folder does not exist or is not writable.
+        CaterpillarError: the suffix is not .mp4 or .gif, or the folder is missing or not writable.
     """
     if path.suffix not in _ENCODING:
-        raise VideoError(f"a video must be an .mp4 or a .gif file; got {path}")
+        raise CaterpillarError(f"a video must be an .mp4 or a .gif file; got {path}")
     folder = path.parent
     if not folder.is_dir() or not os.access(folder, os.W_OK):
         reason = "is not writable" if folder.is_dir() else "is not a folder"
-        raise VideoError(f"cannot write {path}: {folder} {reason}; choose a different path with --out")
+        raise CaterpillarError(
+            f"cannot write {path}: {folder} {reason}; choose a different path with --out"
+        )

@@ -54,7 +54,7 @@ def evolve(
         The history of the run. `history.finished` is False if the run was stopped.
 
     Raises:
-        FileError: the folder is not empty or cannot be written.
+        CaterpillarError: the folder is not empty or cannot be written.
         GenomeError: the optimizer proposed an invalid genome.
         ObjectiveError: your own objective returned an array of the wrong shape, or non-finite values.
         EvaluationError: an evaluation raised an exception.

@@ -170,7 +170,7 @@ def read_toml(path: Path) -> StudyConfig:
         StudyError: the file is missing, is not TOML, or does not describe a study.
     """
     missing = "give the TOML file of a study, or --preset"
-    return read(path, StudyConfig.from_dict, StudyError, missing, tomllib.loads)
+    return read(path, StudyConfig.from_dict, missing, tomllib.loads, StudyError)
 
 
 def preset(name: str) -> StudyConfig:
@@ -211,4 +211,4 @@ def load(folder: Path) -> StudyConfig:
         StudyError: the folder contains no study, or the study cannot be read.
     """
     missing = "give a folder that caterpillar study made"
-    return read(folder / SETTINGS, StudyConfig.from_dict, StudyError, missing)
+    return read(folder / SETTINGS, StudyConfig.from_dict, missing, error=StudyError)

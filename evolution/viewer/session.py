@@ -49,8 +49,8 @@ class Session:
         robot: the current robot.
 
     Raises:
-        TimingError: the gait period is not a multiple of the control interval, or the number of times
-            matches neither the springs nor the mirrored pairs.
+        CaterpillarError: the gait period is not a multiple of the control interval, or the times
+            match neither the springs nor the mirrored pairs.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -73,7 +73,7 @@ class Session:
             Whether the simulation was restarted.
 
         Raises:
-            TimingError: see `Session`. The session keeps its robot.
+            CaterpillarError: see `Session`. The session keeps its robot.
         """
         self._power = _power(robot)
         old, self.robot = self.robot, robot

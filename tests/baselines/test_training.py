@@ -11,7 +11,7 @@ from baselines.config import TrainConfig, TrainingError, hyperparameters
 from baselines.history import Training
 from baselines.policy import Policy, RandomActor, TrainedRobot, make_env
 from baselines.training import train
-from caterpillar_env.files import FileError
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure
@@ -230,13 +230,13 @@ def test_a_policy_learns_to_crawl_farther_than_before_and_than_at_random(tmp_pat
 
 
 def test_nonempty_folder_is_rejected(trained):
-    with pytest.raises(FileError, match="is not empty"):
+    with pytest.raises(CaterpillarError, match="is not empty"):
         train(config(), trained[0])
 
 
 def test_folder_that_cannot_be_written_is_rejected(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(FileError, match="cannot write"):
+    with pytest.raises(CaterpillarError, match="cannot write"):
         train(config(), tmp_path / "file" / "run")
 
 

@@ -5,8 +5,8 @@ import gymnasium
 import numpy as np
 import pytest
 
-from caterpillar_env import CaterpillarEnv, Morphology, MorphologyError, Physics, SimulationError
-from caterpillar_env.errors import CaterpillarError, PhysicsError, TimingError
+from caterpillar_env import CaterpillarEnv, Morphology, Physics
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import LOWER, UPPER
 from caterpillar_env.task import Thresholds
 
@@ -278,7 +278,7 @@ def test_on_interval_gets_the_traces_of_a_step():
 
 def test_invalid_body_does_not_replace_the_old_one():
     env = timing_env(morphology=SMALL)
-    with pytest.raises(MorphologyError, match="joint_limit_rad"):
+    with pytest.raises(CaterpillarError, match="joint_limit_rad"):
         env.reset(options={"morphology": {**SMALL.to_dict(), "joint_limit_rad": 2.0}})
     assert env.morphology == SMALL
 
@@ -310,7 +310,7 @@ def test_pickled_environment_gives_the_same_results():
 )
 def test_invalid_action_is_rejected_without_a_step(action, message):
     env = timing_env()
-    with pytest.raises(TimingError, match=message):
+    with pytest.raises(CaterpillarError, match=message):
         env.step(action)
     assert env.crawl.simulation.simulated_s == 0
 
@@ -318,12 +318,12 @@ def test_invalid_action_is_rejected_without_a_step(action, message):
 @pytest.mark.parametrize("value", [0.5, 2, -1])
 def test_switch_actions_are_on_or_off(value):
     env = switch_env()
-    with pytest.raises(TimingError, match=r"0 \(off\) or 1 \(on\)"):
+    with pytest.raises(CaterpillarError, match=r"0 \(off\) or 1 \(on\)"):
         env.step(np.full(12, value))
 
 
 def test_step_before_reset_is_an_error():
-    with pytest.raises(SimulationError, match=r"call reset\(\) before step\(\)"):
+    with pytest.raises(CaterpillarError, match=r"call reset\(\) before step\(\)"):
         CaterpillarEnv().step(np.zeros(12))
 
 
@@ -334,33 +334,25 @@ def test_unknown_option_error_lists_the_known_options():
 
 
 @pytest.mark.parametrize(
-    ("kwargs", "error", "message"),
+    ("kwargs", "message"),
     [
-        (
-            {"action_mode": "torque"},
-            SimulationError,
-            "must be one of timing, switch",
-        ),
-        ({"frame_skip": 0}, SimulationError, "frame_skip must be a whole number"),
-        ({"frame_skip": 1.5}, SimulationError, "frame_skip must be a whole number"),
-        ({"failure_cost": -1.0}, SimulationError, "failure_cost must be finite and not negative"),
-        ({"ctrl_cost_weight": math.nan}, SimulationError, "ctrl_cost_weight must be finite"),
-        ({"reset_noise_scale": math.inf}, SimulationError, "reset_noise_scale must be finite"),
-        (
-            {"gait_period_s": 0.25},
-            TimingError,
-            "gait_period_s of 0.25 s must be a whole multiple of 0.1",
-        ),
-        ({"episode_s": 0.0}, TimingError, "episode_s of 0 s must be a whole multiple"),
-        ({"physics": {"legs": 6}}, PhysicsError, "physics has no legs"),
-        ({"morphology": [1, 2]}, MorphologyError, "8 numbers"),
-        ({"render_mode": "ascii"}, SimulationError, "render_mode must be None or one of .*rgb_array"),
-        ({"threads": -1}, SimulationError, "threads >= 0"),
+        ({"action_mode": "torque"}, "must be one of timing, switch"),
+        ({"frame_skip": 0}, "frame_skip must be a whole number"),
+        ({"frame_skip": 1.5}, "frame_skip must be a whole number"),
+        ({"failure_cost": -1.0}, "failure_cost must be finite and not negative"),
+        ({"ctrl_cost_weight": math.nan}, "ctrl_cost_weight must be finite"),
+        ({"reset_noise_scale": math.inf}, "reset_noise_scale must be finite"),
+        ({"gait_period_s": 0.25}, "gait_period_s of 0.25 s must be a whole multiple of 0.1"),
+        ({"episode_s": 0.0}, "episode_s of 0 s must be a whole multiple"),
+        ({"physics": {"legs": 6}}, "physics has no legs"),
+        ({"morphology": [1, 2]}, "8 numbers"),
+        ({"render_mode": "ascii"}, "render_mode must be None or one of .*rgb_array"),
+        ({"threads": -1}, "threads >= 0"),
     ],
     ids=lambda v: str(v) if isinstance(v, dict) else "",
 )
-def test_invalid_argument_is_rejected_with_the_reason(kwargs, error, message):
-    with pytest.raises(error, match=message):
+def test_invalid_argument_is_rejected_with_the_reason(kwargs, message):
+    with pytest.raises(CaterpillarError, match=message):
         CaterpillarEnv(**kwargs)
 
 

@@ -3,7 +3,7 @@ import json
 import pytest
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.files import FileError, make_folder, read, unused, write_json, writing
+from caterpillar_env.files import make_folder, read, unused, write_json, writing
 
 
 class UnreadError(CaterpillarError):
@@ -13,7 +13,7 @@ class UnreadError(CaterpillarError):
 def test_non_empty_folder_is_rejected(tmp_path):
     make_folder(tmp_path / "a" / "b", "")
     make_folder(tmp_path / "a" / "b", "")  # nothing is in it
-    with pytest.raises(FileError, match="a is not empty; choose another with --out, or else"):
+    with pytest.raises(CaterpillarError, match="a is not empty; choose another with --out, or else"):
         make_folder(tmp_path / "a", ", or else")
 
 
@@ -29,21 +29,21 @@ def test_json_is_written_completely_and_leaves_no_other_file(tmp_path):
     assert json.loads((tmp_path / "x.json").read_text()) == {"a": [1, 2.5]}
     with pytest.raises(TypeError):
         write_json(tmp_path / "x.json", {"a": object()})
-    assert read(tmp_path / "x.json", dict, UnreadError, "") == {"a": [1, 2.5]}
+    assert read(tmp_path / "x.json", dict, "", error=UnreadError) == {"a": [1, 2.5]}
     assert [path.name for path in tmp_path.iterdir()] == ["x.json"]
 
 
 def test_read_errors_name_the_file(tmp_path):
     (tmp_path / "x.json").write_text("{")
     with pytest.raises(UnreadError, match=r"x\.json is not JSON"):
-        read(tmp_path / "x.json", dict, UnreadError, "")
+        read(tmp_path / "x.json", dict, "", error=UnreadError)
     with pytest.raises(UnreadError, match=r"cannot read .*none\.json: No such file .*; make one"):
-        read(tmp_path / "none.json", dict, UnreadError, "make one")
+        read(tmp_path / "none.json", dict, "make one", error=UnreadError)
 
 
 def test_write_errors_give_advice_and_own_errors_pass_through(tmp_path):
     path = tmp_path / "none" / "x"
-    with pytest.raises(FileError, match="directory; choose another place"), writing(path):
+    with pytest.raises(CaterpillarError, match="directory; choose another place"), writing(path):
         path.write_text("")
     with pytest.raises(UnreadError), writing(tmp_path):
         raise UnreadError("mine")

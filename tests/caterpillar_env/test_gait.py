@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from caterpillar_env import GaitTimings, TimingError
+from caterpillar_env import GaitTimings
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import count_steps, mirror, pair_names, spring_names
 
 PERIOD_S = 3.0
@@ -122,25 +123,25 @@ def test_actions_of_many_robots_round_trip():
 @pytest.mark.parametrize("name", ["on_s", "off_s"])
 def test_times_outside_the_period_are_rejected(name, bad):
     times = {"on_s": [0.0, 1.0], "off_s": [1.0, 2.0], name: [0.5, bad]}
-    with pytest.raises(TimingError, match=rf"{name} must lie in \[0, 3\] s"):
+    with pytest.raises(CaterpillarError, match=rf"{name} must lie in \[0, 3\] s"):
         GaitTimings(PERIOD_S, **times)
 
 
 def test_different_shapes_are_rejected():
-    with pytest.raises(TimingError, match=r"\(2,\) and \(3,\)"):
+    with pytest.raises(CaterpillarError, match=r"\(2,\) and \(3,\)"):
         GaitTimings(PERIOD_S, [0, 0], [0, 0, 0])
-    with pytest.raises(TimingError, match="the same shape"):
+    with pytest.raises(CaterpillarError, match="the same shape"):
         GaitTimings.from_action(np.zeros(5), PERIOD_S)
 
 
 @pytest.mark.parametrize("period_s", [0.0, -1.0, np.nan, np.inf])
 def test_period_must_be_positive(period_s):
-    with pytest.raises(TimingError, match="period_s"):
+    with pytest.raises(CaterpillarError, match="period_s"):
         GaitTimings(period_s, [0.0], [0.0])
 
 
 def test_nan_action_is_rejected():
-    with pytest.raises(TimingError, match="nan"):
+    with pytest.raises(CaterpillarError, match="nan"):
         GaitTimings.from_action(np.array([0.0, np.nan]), PERIOD_S)
 
 
@@ -154,7 +155,9 @@ def test_timings_copy_their_times_and_make_them_read_only():
 
 
 def test_period_must_be_a_multiple_of_the_step():
-    with pytest.raises(TimingError, match=r"the gait period of 1 s must be a whole multiple of 0\.3 s"):
+    with pytest.raises(
+        CaterpillarError, match=r"the gait period of 1 s must be a whole multiple of 0\.3 s"
+    ):
         shares(0.0, 0.5, step_s=0.3)
 
 
@@ -165,5 +168,5 @@ def test_count_steps_tolerates_rounding_errors():
 
 @pytest.mark.parametrize(("duration_s", "step_s"), [(0.05, 0.1), (0.0, 0.1), (-0.1, 0.1), (0.25, 0.1)])
 def test_count_steps_rejects_zero_and_fractional_counts(duration_s, step_s):
-    with pytest.raises(TimingError, match="whole multiple"):
+    with pytest.raises(CaterpillarError, match="whole multiple"):
         count_steps(duration_s, step_s, "it")

@@ -6,8 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from caterpillar_env import Morphology, MorphologyError, Physics, SmaSpring
+from caterpillar_env import Morphology, Physics, SmaSpring
 from caterpillar_env.drawing.scenery import CAMERAS
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import spring_names
 from caterpillar_env.ground import STANCE_M
 from caterpillar_env.model import ModelBuilder, build_model, joint_names, model_xml
@@ -343,7 +344,7 @@ def test_different_segments_keep_their_length_when_cold():
 
 @pytest.mark.parametrize("count", [0, 3, 5])
 def test_wrong_number_of_segments_is_rejected(count):
-    with pytest.raises(MorphologyError, match=f"or a tuple of 4; got {count}"):
+    with pytest.raises(CaterpillarError, match=f"or a tuple of 4; got {count}"):
         built((BODY,) * count)
 
 

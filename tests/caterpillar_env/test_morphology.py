@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from caterpillar_env import MorphologyError
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import LOWER, NAMES, PARAMETERS, UPPER, Morphology
 
 UNITS = st.lists(st.floats(0, 1), min_size=8, max_size=8).map(np.array)
@@ -40,7 +40,7 @@ def test_error_names_field_value_interval_and_unit(parameter, kind):
         "none": None,
         "text": "wide",
     }[kind]
-    with pytest.raises(MorphologyError) as caught:
+    with pytest.raises(CaterpillarError) as caught:
         Morphology(**with_value(parameter.name, value))
     message = str(caught.value)
     assert message.startswith(f"{parameter.name} = {value!r} ")
@@ -53,9 +53,9 @@ def test_mapping_changes_the_nominal_body():
 
 
 def test_unknown_name_error_lists_the_known_names():
-    with pytest.raises(MorphologyError, match=r"no length_m; .*segment_length_m"):
+    with pytest.raises(CaterpillarError, match=r"no length_m; .*segment_length_m"):
         Morphology.of({"length_m": 0.03})
-    with pytest.raises(MorphologyError, match="no colour"):
+    with pytest.raises(CaterpillarError, match="no colour"):
         Morphology.of({**Morphology().to_dict(), "colour": 1.0})
 
 
@@ -63,7 +63,7 @@ def test_unknown_name_error_lists_the_known_names():
     "value", [[0.01] * 7, np.full((1, 8), 0.01), 3, None, "nominal", [[1], [2, 3]]], ids=repr
 )
 def test_wrong_shape_error_states_expected_and_given(value):
-    with pytest.raises(MorphologyError, match="a mapping or 8 numbers") as caught:
+    with pytest.raises(CaterpillarError, match="a mapping or 8 numbers") as caught:
         Morphology.of(value)
     assert repr(value) in str(caught.value)
 

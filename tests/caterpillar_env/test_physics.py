@@ -3,7 +3,8 @@ import math
 
 import pytest
 
-from caterpillar_env import Physics, PhysicsError, SmaSpring
+from caterpillar_env import Physics, SmaSpring
+from caterpillar_env.errors import CaterpillarError
 
 
 def test_strengths_spread_about_one_and_follow_the_seed():
@@ -23,7 +24,7 @@ def test_given_strengths_replace_random_strengths():
     assert physics.strengths().tolist() == measured
     assert Physics.of(json.loads(json.dumps(physics.to_dict()))) == physics
     for unusable in ([1.0] * 3, [1.0, 1.0, 1.0, 0.0], [1.0, 1.0, 1.0, math.nan]):
-        with pytest.raises(PhysicsError, match=r"spring_strengths = .* must be 4 positive numbers"):
+        with pytest.raises(CaterpillarError, match=r"spring_strengths = .* must be 4 positive numbers"):
             Physics(num_segments=2, spring_strengths=unusable)
 
 
@@ -62,5 +63,5 @@ def test_partial_mappings_keep_the_other_defaults():
     ids=lambda v: v if isinstance(v, str) else "",
 )
 def test_invalid_physics_is_rejected_with_the_reason(value, message):
-    with pytest.raises(PhysicsError, match=message):
+    with pytest.raises(CaterpillarError, match=message):
         Physics.of(value)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import caterpillar_env  # noqa: F401
-from caterpillar_env.errors import PhysicsError
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.model import build_model
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
@@ -141,12 +141,12 @@ def test_adding_a_range_does_not_change_the_other_samples():
     ids=str,
 )
 def test_invalid_ranges_are_rejected(ranges, message):
-    with pytest.raises(PhysicsError, match=message):
+    with pytest.raises(CaterpillarError, match=message):
         Randomization.of(ranges)
 
 
 def test_air_too_warm_for_cooling_is_rejected():
-    with pytest.raises(PhysicsError, match=r"must end below 56 degC.*\(20.0, 60.0\)"):
+    with pytest.raises(CaterpillarError, match=r"must end below 56 degC.*\(20.0, 60.0\)"):
         gymnasium.make("CaterpillarSMA-v0", randomization={"ambient_c": (20, 60)})
 
 

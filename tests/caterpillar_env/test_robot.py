@@ -12,7 +12,7 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
-from caterpillar_env.robot import FORMAT, Robot, RobotError
+from caterpillar_env.robot import FORMAT, Robot
 from caterpillar_env.task import Failure, label
 from evolution.config import RunConfig
 from evolution.genome import Encoding
@@ -134,7 +134,7 @@ def test_record_is_optional(individual):
 
 @pytest.mark.parametrize("data", [None, [], "robot", 3, {}, {"format": "caterpillar-individual-0"}])
 def test_json_without_a_robot_is_rejected(data):
-    with pytest.raises(RobotError, match=FORMAT):
+    with pytest.raises(CaterpillarError, match=FORMAT):
         Robot.from_dict(data)
 
 
@@ -176,14 +176,14 @@ def test_json_without_a_robot_is_rejected(data):
 def test_error_of_an_invalid_robot_names_the_file(individual, tmp_path, path, value):
     file = tmp_path / "robot.json"
     file.write_text(json.dumps(changed(individual, path, value)))
-    with pytest.raises(RobotError, match=r"robot\.json"):
+    with pytest.raises(CaterpillarError, match=r"robot\.json"):
         Robot.load(file)
 
 
 def test_times_in_lists_are_rejected(individual, tmp_path):
     listed = {"on_s": [0.0], "off_s": [1.0]}
     data = changed(individual, ["gait", "pairs"], {"gap1_dorsal": listed, "gap1_ventral": listed})
-    with pytest.raises(RobotError):
+    with pytest.raises(CaterpillarError):
         Robot.from_dict(data)
 
 
@@ -199,13 +199,13 @@ def test_error_of_a_long_robot_is_one_line():
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe\x00", b"[1,"])
 def test_file_that_is_not_json_is_rejected(tmp_path, content):
     (tmp_path / "robot.json").write_bytes(content)
-    with pytest.raises(RobotError, match="is not JSON"):
+    with pytest.raises(CaterpillarError, match="is not JSON"):
         Robot.load(tmp_path / "robot.json")
 
 
 def test_missing_file_and_empty_folder_are_rejected(tmp_path):
     for path, message in ((tmp_path / "none.json", "cannot read"), (tmp_path, "holds no best.json")):
-        with pytest.raises(RobotError, match=message):
+        with pytest.raises(CaterpillarError, match=message):
             Robot.load(path)
 
 

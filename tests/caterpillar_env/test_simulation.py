@@ -4,7 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from caterpillar_env import Morphology, Physics, SimulationError, sma
+from caterpillar_env import Morphology, Physics, sma
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.ground import STANCE_M
 from caterpillar_env.simulation import Simulation
 
@@ -163,7 +164,7 @@ def test_robots_can_be_placed_at_rest_in_a_given_pose():
     assert not state.velocity[0].any()
     assert state.velocity[1].any()
     assert state.clearance_m[0] > 0.4
-    with pytest.raises(SimulationError, match=r"qpos must have shape \(2, 18\); got \(1, 18\)"):
+    with pytest.raises(CaterpillarError, match=r"qpos must have shape \(2, 18\); got \(1, 18\)"):
         simulation.place(pose[None])
 
 
@@ -299,19 +300,19 @@ def test_diverged_row_is_reported_and_does_not_affect_the_others(tmp_path, monke
 
 @pytest.mark.parametrize("shape", [(1, 10, 12), (2, 10, 11), (2, 12)], ids=str)
 def test_wrong_power_shape_is_an_error(shape):
-    with pytest.raises(SimulationError, match=r"\(2, steps, 12\)") as caught:
+    with pytest.raises(CaterpillarError, match=r"\(2, steps, 12\)") as caught:
         started([SMALL, SMALL]).heat(np.zeros(shape))
     assert str(shape) in str(caught.value)
 
 
 def test_every_row_needs_a_body():
-    with pytest.raises(SimulationError, match="bodies must have one entry for each of 2 rows; got 1"):
+    with pytest.raises(CaterpillarError, match="bodies must have one entry for each of 2 rows; got 1"):
         started([SMALL, SMALL]).reset([SMALL])
 
 
 @pytest.mark.parametrize(("rows", "threads"), [(0, 1), (1, -1)])
 def test_invalid_sizes_are_rejected(rows, threads):
-    with pytest.raises(SimulationError, match=f"got {rows} bodies and {threads} threads"):
+    with pytest.raises(CaterpillarError, match=f"got {rows} bodies and {threads} threads"):
         Simulation([SMALL] * rows, Physics(), threads)
 
 

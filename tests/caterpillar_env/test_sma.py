@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from caterpillar_env import PhysicsError, SmaSpring
+from caterpillar_env import SmaSpring
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.sma import SmaState, advance, cooling_branch, heating_branch, spring_force
 
 NITI = SmaSpring()
@@ -304,25 +305,25 @@ def test_stroke_under_a_load():
     ids=str,
 )
 def test_invalid_hysteresis_loops_are_rejected(changes):
-    with pytest.raises(PhysicsError, match="ambient < Mf < Ms < Af < cut-off and Mf < As < Af"):
+    with pytest.raises(CaterpillarError, match="ambient < Mf < Ms < Af < cut-off and Mf < As < Af"):
         SmaSpring(**changes)
 
 
 @pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(SmaSpring)])
 def test_every_quantity_must_be_a_finite_number(field):
     for value in (math.nan, math.inf, None, "1"):
-        with pytest.raises(PhysicsError, match=f"{field} = {value!r} must be a finite number"):
+        with pytest.raises(CaterpillarError, match=f"{field} = {value!r} must be a finite number"):
             SmaSpring(**{field: value})
 
 
 @pytest.mark.parametrize("field", ["wire_diameter_m", "convection_w_m2_k", "force_limit_n"])
 def test_sizes_must_be_positive(field):
-    with pytest.raises(PhysicsError, match=f"{field} = 0 must be positive"):
+    with pytest.raises(CaterpillarError, match=f"{field} = 0 must be positive"):
         SmaSpring(**{field: 0.0})
 
 
 @pytest.mark.parametrize("field", ["latent_heat_j_kg", "drive_current_a"])
 def test_latent_heat_and_current_may_be_zero_but_not_negative(field):
     SmaSpring(**{field: 0.0})
-    with pytest.raises(PhysicsError, match="must not be negative"):
+    with pytest.raises(CaterpillarError, match="must not be negative"):
         SmaSpring(**{field: -1.0})

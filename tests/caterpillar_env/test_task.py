@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from caterpillar_env import Morphology, Physics, SimulationError
+from caterpillar_env import Morphology, Physics
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.pose import Pose
 from caterpillar_env.task import Crawl, Failure, Thresholds, judge
 
@@ -256,6 +257,6 @@ def test_each_robot_can_have_its_own_number_of_intervals():
 
 @pytest.mark.parametrize("shape", [(1, 15, 12), (2, 10, 12), (10, 12), (1, 10, 11)], ids=str)
 def test_wrong_power_shape_is_an_error(shape):
-    with pytest.raises(SimulationError, match="power must have shape") as caught:
+    with pytest.raises(CaterpillarError, match="power must have shape") as caught:
         crawl().run(np.zeros(shape))
     assert str(shape) in str(caught.value)

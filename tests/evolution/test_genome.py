@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from caterpillar_env.errors import TimingError
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import LOWER, NAMES, UPPER, Morphology
 from caterpillar_env.physics import Physics
@@ -150,7 +150,7 @@ def test_value_outside_the_unit_interval_is_refused_and_located(value):
 
 
 def test_unusable_encoding_is_refused():
-    with pytest.raises(TimingError, match=r"gait_period_s of 0\.25 s must be a whole multiple"):
+    with pytest.raises(CaterpillarError, match=r"gait_period_s of 0\.25 s must be a whole multiple"):
         Encoding(Physics(), 0.25)
     with pytest.raises(GenomeError, match="must be one of shared, full, per-segment"):
         Encoding(kind="half")

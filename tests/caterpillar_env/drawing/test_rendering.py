@@ -5,17 +5,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from caterpillar_env import (
-    CaterpillarEnv,
-    CaterpillarVectorEnv,
-    Morphology,
-    Physics,
-    SimulationError,
-)
+from caterpillar_env import CaterpillarEnv, CaterpillarVectorEnv, Morphology, Physics
 from caterpillar_env.drawing import rendering
 from caterpillar_env.drawing.overlay import CONTACT_RGB, Readout
 from caterpillar_env.drawing.rendering import Pictures, RenderingError, RobotRenderer, View
 from caterpillar_env.drawing.scenery import CAMERAS, RULER
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import Crawl
 
 pytestmark = pytest.mark.drawing
@@ -244,13 +239,13 @@ def test_without_a_mode_nothing_is_drawn():
 
 
 def test_render_needs_a_reset():
-    with pytest.raises(SimulationError, match=r"call reset\(\) before render\(\)"):
+    with pytest.raises(CaterpillarError, match=r"call reset\(\) before render\(\)"):
         CaterpillarEnv(render_mode="rgb_array").render()
 
 
 def test_window_needs_a_display(monkeypatch):
     monkeypatch.setattr("caterpillar_env.env.has_display", lambda: False)
-    with pytest.raises(SimulationError, match='"human" needs a display'):
+    with pytest.raises(CaterpillarError, match='"human" needs a display'):
         CaterpillarEnv(render_mode="human")
     assert "human" not in CaterpillarEnv().metadata["render_modes"]
 

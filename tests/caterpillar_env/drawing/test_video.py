@@ -9,13 +9,8 @@ from PIL import Image
 
 from caterpillar_env.drawing import rendering
 from caterpillar_env.drawing.rendering import RenderingError
-from caterpillar_env.drawing.video import (
-    Recording,
-    VideoConfig,
-    VideoError,
-    is_video_of,
-    write_video,
-)
+from caterpillar_env.drawing.video import Recording, VideoConfig, is_video_of, write_video
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
@@ -213,22 +208,26 @@ def test_layout(count, layout):
     ],
 )
 def test_values_out_of_range_are_rejected(wrong, match):
-    with pytest.raises(VideoError, match=match):
+    with pytest.raises(CaterpillarError, match=match):
         VideoConfig(**wrong)
 
 
 def test_too_many_tiles_are_rejected():
-    with pytest.raises(VideoError, match="5 robots in 128 x 96 pixels would have tiles smaller than 64"):
+    with pytest.raises(
+        CaterpillarError, match="5 robots in 128 x 96 pixels would have tiles smaller than 64"
+    ):
         QUICK.layout(5)
 
 
 def test_unknown_file_types_are_rejected(recording):
-    with pytest.raises(VideoError, match=r"a video must be an \.mp4 or a \.gif file; got robot\.avi"):
+    with pytest.raises(
+        CaterpillarError, match=r"a video must be an \.mp4 or a \.gif file; got robot\.avi"
+    ):
         write_video([recording], Path("robot.avi"))
 
 
 def test_folder_that_cannot_be_written_is_an_error_and_leaves_nothing(recording, tmp_path):
-    with pytest.raises(VideoError, match="cannot write"):
+    with pytest.raises(CaterpillarError, match="cannot write"):
         write_video([recording], tmp_path / "nowhere" / "robot.mp4", QUICK)
     assert list(tmp_path.iterdir()) == []
 

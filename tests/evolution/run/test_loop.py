@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.files import FileError
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.physics import Physics
@@ -269,7 +268,7 @@ def test_a_robot_that_failed_is_never_the_best(tmp_path, monkeypatch):
 
 def test_folder_that_holds_something_is_refused_and_left_alone(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(FileError, match="is not empty; choose another"):
+    with pytest.raises(CaterpillarError, match="is not empty; choose another"):
         evolve(TINY, tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
@@ -277,7 +276,7 @@ def test_folder_that_holds_something_is_refused_and_left_alone(tmp_path):
 def test_folder_below_a_file_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     for folder in (tmp_path / "file", tmp_path / "file" / "run"):
-        with pytest.raises(FileError, match="cannot write") as refused:
+        with pytest.raises(CaterpillarError, match="cannot write") as refused:
             evolve(TINY, folder)
         assert "\n" not in str(refused.value)
 

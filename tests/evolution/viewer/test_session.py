@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from caterpillar_env.errors import TimingError
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import SMA_STEP_S, Physics
@@ -106,7 +106,7 @@ def test_a_failed_robot_stops(robot):
 
 
 def test_an_invalid_gait_raises_an_error(robot):
-    with pytest.raises(TimingError, match=r"whole multiple of 0\.1 s"):
+    with pytest.raises(CaterpillarError, match=r"whole multiple of 0\.1 s"):
         Session(replace(robot, timings=GaitTimings(0.25, np.zeros(2), np.zeros(2))))
-    with pytest.raises(TimingError, match="times of 4 springs or 2"):
+    with pytest.raises(CaterpillarError, match="times of 4 springs or 2"):
         Session(replace(robot, timings=GaitTimings(2.0, np.zeros(3), np.zeros(3))))
