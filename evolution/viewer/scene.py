@@ -34,14 +34,13 @@ class RobotScene:
             plane_opacity=1.0, fade_distance=2.0,
         )  # fmt: skip
 
-    def draw(self, robot: Robot, qpos: Array, temperature_c: Array, *, follow: bool) -> None:
-        """Draw a robot in place of the previous one.
+    def draw(self, robot: Robot, qpos: Array, temperature_c: Array) -> None:
+        """Draw a robot in place of the previous one. The ground moves, so that the robot stays in view.
 
         Args:
             robot: robot to draw; its gait is ignored.
             qpos: generalized positions, (nq,); a pose with non-finite values is skipped.
             temperature_c: spring temperatures, degC, (num_springs,).
-            follow: whether to keep the robot in view by moving the ground instead of the robot.
         """
         if (robot.morphology, robot.physics) != self._built:
             self._build(robot)
@@ -56,7 +55,7 @@ class RobotScene:
         colours = np.round(255 * spring_rgb(robot.physics.spring, temperature_c)[:, None])
         self._springs.colors = np.repeat(colours.astype(np.uint8), 2, axis=1)
         middle = data.xpos[1:].mean(axis=0)
-        self._world.position = (-middle[0], -middle[1], 0.0) if follow else (0.0, 0.0, 0.0)
+        self._world.position = (-middle[0], -middle[1], 0.0)
 
     def _build(self, robot: Robot) -> None:
         if self._robot is not None:

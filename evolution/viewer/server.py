@@ -13,7 +13,7 @@ import viser
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import length_m, segments_of
 from caterpillar_env.robot import Robot
-from evolution.viewer.player import Player
+from evolution.viewer.page import Page
 from evolution.viewer.session import Session
 
 HOST = "127.0.0.1"
@@ -40,7 +40,7 @@ class Viewer:
 
     def __init__(self, robot: Robot, port: int) -> None:
         self._robot = robot
-        self._players: dict[int, Player] = {}  # by client id; viser's threads add and remove players
+        self._pages: dict[int, Page] = {}  # by client id; viser's threads add and remove pages
         # viser warns if a tab is closed before it has received all messages.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         Session(robot)  # raises if the robot cannot be simulated
@@ -65,18 +65,18 @@ class Viewer:
     def __exit__(self, *_: object) -> None:
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
-        for player in list(self._players.values()):
-            player.close()
+        for page in list(self._pages.values()):
+            page.close()
 
     def _connect(self, client: viser.ClientHandle) -> None:
-        self._players[client.client_id] = Player(client, self._robot)
+        self._pages[client.client_id] = Page(client, self._robot)
         if client.client_id not in self._server.get_clients():
-            self._disconnect(client)  # the tab was closed before its player was ready
+            self._disconnect(client)  # the tab was closed before its page was ready
 
     def _disconnect(self, client: viser.ClientHandle) -> None:
-        player = self._players.pop(client.client_id, None)
-        if player is not None:
-            player.close()
+        page = self._pages.pop(client.client_id, None)
+        if page is not None:
+            page.close()
 
 
 def _check_port(port: int) -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import NamedTuple
-
 import numpy as np
 
 from caterpillar_env.arrays import Array
@@ -12,7 +9,7 @@ from caterpillar_env.gait import GaitTimings, count_steps
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.pose import Trace
-from caterpillar_env.robot import Outcomes, Robot
+from caterpillar_env.robot import Robot
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress
 
 _INTERVALS = count_steps(EPISODE_S, CONTROL_INTERVAL_S, "the episode")
@@ -26,15 +23,6 @@ def nominal_robot() -> Robot:
     """
     on_s, off_s = (0.0, 2.5, 3.3, 0.8, 1.7, 4.2), (1.0, 3.5, 4.3, 1.8, 2.7, 0.2)
     return Robot(Morphology(), GaitTimings(5.0, np.array(on_s), np.array(off_s)), Physics())
-
-
-class Measurements(NamedTuple):
-    """Measurements at the start and at the end of each of N control intervals."""
-
-    time_s: Array  #: simulated time since the start, (N + 1,)
-    distance_m: Array  #: of the centre of mass along the initial heading, (N + 1,)
-    temperature_c: Array  #: of the n springs or mirrored pairs that the gait controls, (N + 1, n)
-    fraction: Array  #: austenite fraction of these springs or pairs, (N + 1, n)
 
 
 class Session:
@@ -61,10 +49,8 @@ class Session:
     def reset(self) -> None:
         """Return the robot to its initial state."""
         self._crawl = Crawl([self.robot.morphology], self.robot.physics, threads=1)
-        self._trace: Trace | None = None  # of the last control interval
-        self._gait_changed = False
-        self._measured: list[tuple[float, float, Array, Array]] = []
-        self._measure()
+        self._traces: list[Trace] = []  # of the last control interval
+        self._intervals = 0
 
     def change(self, robot: Robot) -> bool:
         """Replace the robot. A new body or new physics restarts the simulation; a new gait does not.
@@ -77,22 +63,20 @@ class Session:
         """
         self._power = _power(robot)
         old, self.robot = self.robot, robot
-        if robot.physics != old.physics or robot.morphology != old.morphology:
+        restarted = robot.physics != old.physics or robot.morphology != old.morphology
+        if restarted:
             self.reset()
-            return True
-        self._gait_changed |= self._intervals > 0
-        return False
+        return restarted
 
     def advance(self) -> None:
         """Simulate one control interval, unless `finished`."""
         if self.finished:
             return
-        traces: list[Trace] = []
         first = self._intervals * STEPS_PER_INTERVAL % len(self._power)
         power = self._power[None, first : first + STEPS_PER_INTERVAL]
-        self._crawl.run(power, on_interval=traces.append)
-        self._trace = traces[-1]
-        self._measure()
+        self._traces.clear()
+        self._crawl.run(power, on_interval=self._traces.append)
+        self._intervals += 1
 
     def pose(self, time_s: float) -> tuple[Array, Array]:
         """Return generalized positions (nq,) and spring temperatures in degC (num_springs,).
@@ -100,16 +84,13 @@ class Session:
         Args:
             time_s: time in the last control interval; other times are clipped to this interval.
         """
-        if self._trace is None:
+        if not self._traces:
             simulation = self._crawl.simulation
             return simulation.qpos(0), simulation.state().temperature_c[0]
         step = round(time_s / SMA_STEP_S) - 1 - (self._intervals - 1) * STEPS_PER_INTERVAL
         step = min(max(step, 0), STEPS_PER_INTERVAL - 1)
-        return self._trace.qpos[0, step], self._trace.temperature_c[0, step]
-
-    def measurements(self) -> Measurements:
-        """Return all measurements since the start."""
-        return Measurements(*(np.array(column) for column in zip(*self._measured, strict=True)))
+        (trace,) = self._traces
+        return trace.qpos[0, step], trace.temperature_c[0, step]
 
     @property
     def progress(self) -> Progress:
@@ -130,25 +111,6 @@ class Session:
     def finished(self) -> bool:
         """Whether the robot has failed or has crawled for 30 s."""
         return self.failure is not Failure.NONE or self._intervals == _INTERVALS
-
-    def result(self) -> Robot:
-        """Return the robot. It has a fitness if it has finished and its gait was not changed."""
-        if not self.finished or self._gait_changed:
-            return self.robot
-        return replace(self.robot, fitness_m=float(Outcomes.of(self.progress).fitness()[0]))
-
-    @property
-    def _intervals(self) -> int:
-        return len(self._measured) - 1
-
-    def _measure(self) -> None:
-        state, progress = self._crawl.simulation.state(), self.progress
-        # Both springs of a pair have the same temperature, so measure the left one.
-        stride = self.robot.physics.num_springs // len(self.robot.timed)
-        temperature_c, fraction = state.temperature_c[0, ::stride], state.fraction[0, ::stride]
-        self._measured.append(
-            (float(state.time_s[0]), float(progress.distance_m[0]), temperature_c, fraction)
-        )
 
 
 def _power(robot: Robot) -> Array:

@@ -10,8 +10,8 @@ def server():
 
 
 @pytest.fixture
-def page(server):
-    """A server used as a page. All clients share its scene and controls."""
+def client(server):
+    """A server used as a client of its own. All clients share its scene and controls."""
     yield server
     server.scene.reset()
     server.gui.reset()

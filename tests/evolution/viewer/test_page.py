@@ -1,143 +1,146 @@
-"""The page in headless Chromium: clicks, pictures and two tabs."""
+"""Effects of the buttons and sliders of one page on its robot, without a browser."""
 
-import io
 import json
 import threading
 import time
-from urllib.parse import urlparse
+from dataclasses import replace
 
-import imageio.v3 as imageio
 import numpy as np
 import pytest
 
+from caterpillar_env.gait import GaitTimings
+from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Robot
-from evolution.viewer.session import nominal_robot
 
 pytest.importorskip("viser")
 
-from evolution.viewer.server import Viewer
+from evolution.viewer.page import Page
 
-TIMEOUT_MS = 120_000  # software rendering on a busy machine
-SMALL = {"width": 1024, "height": 500}  # faster to draw
-SLIDER_ROW = "xpath=ancestor::div[contains(@class, 'Flex-root')][1]"
-
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection:UserWarning"),
-    pytest.mark.slow,
-]
+ROBOT = Robot(
+    Morphology(segment_length_m=0.0312345),
+    GaitTimings(2.0, np.array([0.0, 1.0]), np.array([0.6, 1.5])),
+    Physics(num_segments=2, timestep_s=0.01),
+    fitness_m=0.01,
+)
 
 
-@pytest.fixture(scope="module")
-def viewer():
-    with Viewer(nominal_robot(), 0) as viewer:
-        yield viewer
+class Hand:
+    """Operates the controls of a page and reads its status."""
 
-
-class Tab:
-    """One browser tab."""
-
-    def __init__(self, browser, url, **kwargs):
-        self.page = browser.new_page(**kwargs)
-        self.page.set_default_timeout(TIMEOUT_MS)
-        self.requests = []
-        self.errors = []
-        self.page.on("request", lambda request: self.requests.append(request.url))
-        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
-        note = self.page.locator("#webgl-software-rendering button")
-        self.page.add_locator_handler(note, lambda note: note.click())
-        self.page.goto(url)
-        self.page.get_by_text("Ready").wait_for()
+    def __init__(self, client, page):
+        handles = client.gui._gui_input_handle_from_uuid.values()
+        self.widgets = {handle.label: handle for handle in handles}
+        self.page = page
 
     def press(self, button):
-        self.page.get_by_role("button", name=button, exact=True).click()
+        self.widgets["robot"].value = button
 
-    def distance_mm(self):
-        status = self.page.get_by_text("sideways").inner_text()
-        return float(status.split("distance")[1].split("mm")[0])
+    @property
+    def robot(self):
+        return self.page.session.robot
 
-    def slider(self, label):
-        row = self.page.locator("label", has_text=label).locator(SLIDER_ROW)
-        return row.locator("input[inputmode=decimal]")
-
-    def picture(self):
-        """The part of the window between the panels."""
-        clip = {"x": 330, "y": 100, "width": 300, "height": 300}
-        return imageio.imread(io.BytesIO(self.page.screenshot(clip=clip)), extension=".png")[..., :3]
+    @property
+    def status(self):
+        return self.page.status.content
 
     def wait(self, condition):
-        end_s = time.monotonic() + TIMEOUT_MS / 1000
+        end_s = time.monotonic() + 20
         while not condition():
-            assert time.monotonic() < end_s
-            self.page.wait_for_timeout(100)
+            assert time.monotonic() < end_s, self.status
+            time.sleep(0.01)
+
+    def wait_for(self, text):
+        self.wait(lambda: text in self.status)
 
 
-def page_threads():
-    return [t for t in threading.enumerate() if t.name == "caterpillar-page"]
+@pytest.fixture
+def hand(client):
+    page = Page(client, ROBOT)
+    yield Hand(client, page)
+    page.close()
 
 
-def greenish(picture):
-    """Share of the pixels that show the robot's shells."""
-    red, green, blue = picture.astype(int).transpose(2, 0, 1)
-    return float(((green > red + 8) & (green > blue + 20)).mean())
+def test_play_pause_and_reset(hand):
+    hand.wait_for("Ready")
+    hand.press("Play")
+    hand.wait_for("Crawling")
+    hand.wait(lambda: hand.page.session.time_s > 0.3)
+    hand.press("Pause")
+    hand.wait_for("Paused")
+    at_s = hand.page.session.time_s
+    time.sleep(0.2)
+    assert hand.page.session.time_s == at_s
+    hand.press("Reset")
+    hand.wait_for("Ready")
+    assert hand.page.session.time_s == 0
 
 
-def test_play_moves_the_robot_and_nothing_is_loaded_from_other_hosts(browser, viewer):
-    tab = Tab(browser, viewer.url, viewport=SMALL)
-    tab.wait(lambda: greenish(tab.picture()) > 0.02)
-    before = tab.picture()
-    assert tab.distance_mm() == 0
-    tab.press("Play")
-    tab.wait(lambda: tab.distance_mm() > 10)
-    after = tab.picture()
-    assert greenish(after) > 0.02  # it is still in view
-    assert (np.abs(before.astype(int) - after).max(axis=2) > 30).mean() > 0.01
-    tab.press("Pause")
-    tab.page.get_by_text("Paused").wait_for()
-    tab.press("Reset")
-    tab.page.get_by_text("Ready").wait_for()
-    assert tab.distance_mm() == 0
-    assert tab.requests
-    assert {urlparse(url.removeprefix("blob:")).hostname for url in tab.requests} == {"127.0.0.1"}
-    assert tab.errors == []
-    tab.page.close()
+def test_the_speed_slider_sets_the_simulated_seconds_per_second(hand):
+    hand.widgets["speed"].value = 0.1
+    hand.press("Play")
+    began_s = time.monotonic()
+    hand.wait(lambda: hand.page.session.time_s > 0.05)
+    hand.press("Pause")
+    hand.wait_for("Paused")
+    # Never ahead of the clock by more than the control interval that is being shown.
+    assert hand.page.session.time_s <= 0.1 * (time.monotonic() - began_s) + 0.1 + 1e-9
 
 
-def test_every_tab_has_its_own_robot_and_closing_it_ends_its_thread(browser, viewer):
-    first, second = (Tab(browser, viewer.url, viewport=SMALL) for _ in range(2))
-    assert len(page_threads()) == 2
-    first.slider("segment radius").fill("13.5")
-    first.press("Play")
-    first.wait(lambda: first.distance_mm() != 0)
-    assert second.distance_mm() == 0
-    assert second.slider("segment radius").input_value() == "12"
-    assert second.page.get_by_text("Ready").is_visible()
-    first.page.close()
-    second.wait(lambda: len(page_threads()) == 1)
-    second.press("Play")
-    second.wait(lambda: second.distance_mm() != 0)
-    second.page.close()
-    end_s = time.monotonic() + 60
-    while page_threads() and time.monotonic() < end_s:
-        time.sleep(0.1)
-    assert not page_threads()
+def test_a_finished_robot_stops_and_can_be_saved(hand, client, monkeypatch):
+    sent = {}
+    monkeypatch.setattr(client, "send_file_download", lambda name, data, **_: sent.update({name: data}))
+    hand.widgets["speed"].value = 8.0
+    hand.press("Play")
+    hand.wait_for("Finished")
+    outcomes = ROBOT.simulate(threads=1)
+    aside_mm = 1000 * hand.page.session.progress.lateral_m[0]
+    assert (
+        f"distance <b>{1000 * outcomes.distance_m[0]:.1f} mm</b>, sideways {aside_mm:.1f} mm"
+        in hand.status
+    )
+    assert f"energy {outcomes.energy_j[0]:.1f} J" in hand.status
+    hand.press("Save")
+    hand.wait(lambda: sent)
+    assert Robot.from_dict(json.loads(sent["robot.json"])).digest == ROBOT.digest
+    hand.press("Play")  # restarts
+    hand.wait_for("Crawling")
 
 
-def test_typed_numbers_stay_within_their_bounds_and_the_robot_can_be_saved(browser, viewer, tmp_path):
-    tab = Tab(browser, viewer.url, viewport=SMALL)
-    box = tab.slider("segment radius")
-    for typed, kept in (("99", "15"), ("-3", "9"), ("11.26", "11.2"), ("1e9", None), ("12.5", "12.5")):
-        box.fill("")
-        box.press_sequentially(typed)
-        box.press("Enter")
-        box.blur()
-        if kept is not None:
-            tab.wait(lambda kept=kept: box.input_value() == kept)
-        assert 9 <= float(box.input_value()) <= 15
-    with tab.page.expect_download() as download:
-        tab.press("Save")
-    download.value.save_as(tmp_path / "robot.json")
-    robot = Robot.load(tmp_path / "robot.json")
-    assert robot.morphology.segment_radius_m == 0.0125
-    assert robot.timings.on_s.tolist() == nominal_robot().timings.on_s.tolist()
-    assert json.loads((tmp_path / "robot.json").read_text())["fitness_m"] is None
-    tab.page.close()
+def test_a_slider_changes_one_parameter(hand):
+    hand.widgets["segment radius, mm"].value = 13.0
+    hand.wait(lambda: hand.robot is not ROBOT)
+    expected = replace(ROBOT.morphology, segment_radius_m=0.013)
+    assert hand.robot.morphology == expected  # and the length is not the rounded one
+    hand.widgets["friction"].value = 0.5
+    hand.wait(lambda: hand.robot.physics.friction == 0.5)
+    hand.widgets["gap1 ventral off, s"].value = 1.8
+    hand.wait(lambda: hand.robot.timings.off_s.tolist() == [0.6, 1.8])
+
+
+def test_a_new_body_restarts_the_robot_without_pausing_it(hand):
+    hand.press("Play")
+    hand.wait(lambda: hand.page.session.time_s > 0.3)
+    hand.widgets["segment radius, mm"].value = 13.0
+    hand.wait(lambda: hand.robot is not ROBOT)
+    hand.wait_for("Crawling")
+    hand.wait(lambda: hand.page.session.time_s > 0)
+
+
+@pytest.mark.parametrize(("value", "radius_m"), [(99.0, 0.015), (-5.0, 0.009)])
+def test_values_out_of_bounds_are_clipped(hand, value, radius_m):
+    hand.widgets["segment radius, mm"].value = value
+    hand.wait(lambda: hand.robot.morphology.segment_radius_m == radius_m)
+
+
+def test_closing_ends_the_thread_of_a_crawling_robot(client):
+    before = set(threading.enumerate())
+    page = Page(client, ROBOT)
+    (thread,) = set(threading.enumerate()) - before
+    Hand(client, page).press("Play")
+    end_s = time.monotonic() + 20
+    while page.session.time_s < 0.2 and time.monotonic() < end_s:
+        time.sleep(0.01)
+    assert page.session.time_s >= 0.2
+    page.close()
+    assert not thread.is_alive()

@@ -25,27 +25,27 @@ def crawling():
 
 
 def draw_at_start(scene, robot):
-    scene.draw(robot, *Session(robot).pose(0.0), follow=True)
+    scene.draw(robot, *Session(robot).pose(0.0))
 
 
-def node(page, name):
-    return page.scene._handle_from_node_name[name]
+def node(client, name):
+    return client.scene._handle_from_node_name[name]
 
 
-def test_elements_springs_and_colours_match_the_model(page, crawling):
-    scene = RobotScene(page.scene)
+def test_elements_springs_and_colours_match_the_model(client, crawling):
+    scene = RobotScene(client.scene)
     qpos, temperature_c = crawling.pose(crawling.time_s)
-    scene.draw(crawling.robot, qpos, temperature_c, follow=False)
+    scene.draw(crawling.robot, qpos, temperature_c)
     physics = crawling.robot.physics
     model = build_model(crawling.robot.morphology, physics)
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
     for body in range(1, model.nbody):
-        element = node(page, f"/world/robot/{model.body(body).name}")
+        element = node(client, f"/world/robot/{model.body(body).name}")
         np.testing.assert_allclose(element.position, data.xpos[body], atol=1e-12)
         np.testing.assert_allclose(element.wxyz, data.xquat[body], atol=1e-12)
-    springs = node(page, "/world/robot/springs")
+    springs = node(client, "/world/robot/springs")
     lengths_m = np.linalg.norm(springs.points[:, 1] - springs.points[:, 0], axis=1)
     np.testing.assert_allclose(lengths_m, data.ten_length, atol=1e-7)
     colours = spring_rgb(physics.spring, temperature_c)
@@ -53,9 +53,9 @@ def test_elements_springs_and_colours_match_the_model(page, crawling):
     assert len(np.unique(springs.colors[:, 0], axis=0)) > 2
 
 
-def test_all_geoms_of_the_robot_have_their_sizes(page):
+def test_all_geoms_of_the_robot_have_their_sizes(client):
     robot = replace(nominal_robot(), physics=Physics(num_segments=4))
-    scene = RobotScene(page.scene)
+    scene = RobotScene(client.scene)
     draw_at_start(scene, robot)
     model = build_model(robot.morphology, robot.physics)
     drawn = 0
@@ -63,40 +63,38 @@ def test_all_geoms_of_the_robot_have_their_sizes(page):
         name = f"/world/robot/{model.body(model.geom_bodyid[geom]).name}/geom{geom}"
         size = model.geom_size[geom]
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-            assert (node(page, name).radius, node(page, name).scale) == (1.0, tuple(size))
+            assert (node(client, name).radius, node(client, name).scale) == (1.0, tuple(size))
         else:
-            assert node(page, name).radius == pytest.approx(size[0])
+            assert node(client, name).radius == pytest.approx(size[0])
         drawn += 1
     assert drawn == 8 + 8 + 8  # shells, feet, legs
 
 
-def test_following_moves_the_ground_instead_of_the_robot(page, crawling):
-    scene = RobotScene(page.scene)
+def test_the_ground_moves_instead_of_the_robot(client, crawling):
+    scene = RobotScene(client.scene)
     qpos, temperature_c = crawling.pose(crawling.time_s)
     moved = qpos + np.r_[0.5, 0.25, np.zeros(len(qpos) - 2)]
-    scene.draw(crawling.robot, qpos, temperature_c, follow=True)
-    before = np.array(node(page, "/world").position)
-    scene.draw(crawling.robot, moved, temperature_c, follow=True)
-    np.testing.assert_allclose(node(page, "/world").position - before, [-0.5, -0.25, 0], atol=1e-12)
-    scene.draw(crawling.robot, moved, temperature_c, follow=False)
-    np.testing.assert_array_equal(node(page, "/world").position, 0)
+    scene.draw(crawling.robot, qpos, temperature_c)
+    before = np.array(node(client, "/world").position)
+    scene.draw(crawling.robot, moved, temperature_c)
+    np.testing.assert_allclose(node(client, "/world").position - before, [-0.5, -0.25, 0], atol=1e-12)
 
 
-def test_a_non_finite_pose_is_skipped(page, crawling):
-    scene = RobotScene(page.scene)
+def test_a_non_finite_pose_is_skipped(client, crawling):
+    scene = RobotScene(client.scene)
     qpos, temperature_c = crawling.pose(crawling.time_s)
-    scene.draw(crawling.robot, qpos, temperature_c, follow=False)
-    before = np.array(node(page, "/world/robot/element0").position)
-    scene.draw(crawling.robot, np.full_like(qpos, np.nan), temperature_c, follow=False)
-    np.testing.assert_array_equal(node(page, "/world/robot/element0").position, before)
+    scene.draw(crawling.robot, qpos, temperature_c)
+    before = np.array(node(client, "/world/robot/element0").position)
+    scene.draw(crawling.robot, np.full_like(qpos, np.nan), temperature_c)
+    np.testing.assert_array_equal(node(client, "/world/robot/element0").position, before)
 
 
-def test_a_new_body_replaces_the_previous_one(page):
+def test_a_new_body_replaces_the_previous_one(client):
     robot = nominal_robot()
-    scene = RobotScene(page.scene)
+    scene = RobotScene(client.scene)
     draw_at_start(scene, robot)
     wide = replace(robot, morphology=replace(robot.morphology, segment_radius_m=0.015))
     draw_at_start(scene, wide)
     model = build_model(wide.morphology, wide.physics)
     shell = model.geom("shell0").id
-    assert node(page, f"/world/robot/element0/geom{shell}").scale[1:] == (0.015, 0.015)
+    assert node(client, f"/world/robot/element0/geom{shell}").scale[1:] == (0.015, 0.015)
