@@ -34,7 +34,7 @@ Which = Literal["best", "last"]
 def make_env(config: TrainConfig, **kwargs: Any) -> CaterpillarEnv:
     """Make the evaluation environment, with one robot and no randomization."""
     settings = config.env_kwargs() | kwargs
-    return CaterpillarEnv(config.morphology, action_mode=config.mode, threads=1, **settings)
+    return CaterpillarEnv(config.morphology, action_mode=config.mode, **settings)
 
 
 class RandomActor:

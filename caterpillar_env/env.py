@@ -48,13 +48,11 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         randomization: ranges of the conditions to sample at each reset: a mapping from fields of
             `Randomization` to lower and upper bounds.
         terminate_on_failure: whether a failure ends the episode. A divergence always does.
-        threads: has no effect on a single robot; see `CaterpillarVectorEnv`.
-        render_mode: None, "human", "rgb_array", "depth_array" or "rgb_array_list".
+        render_mode: None, "human" or "rgb_array".
         width: width of the frames, pixels.
         height: height of the frames, pixels.
         camera_name: "track", "side" or "top"; all of them follow the robot.
-        default_camera_config: attributes of a free camera, which replaces the named one.
-        overlay: whether to draw the path, time, distance and energy on colour frames.
+        overlay: whether to write time, distance, energy and a legend on frames.
 
     Attributes:
         crawl: the simulated robot: `crawl.progress()`, `crawl.simulation.state()` and so on.
@@ -65,7 +63,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
-        "render_modes": ["human", "rgb_array", "depth_array", "rgb_array_list"],
+        "render_modes": ["human", "rgb_array"],
         "render_fps": round(1 / CONTROL_INTERVAL_S),
     }
 
@@ -85,12 +83,10 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         reset_noise_scale: float = 0.0,
         randomization: Randomization | Mapping[str, Any] | None = None,
         terminate_on_failure: bool = True,
-        threads: int = 0,
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
         camera_name: str = "track",
-        default_camera_config: dict[str, Any] | None = None,
         overlay: bool = False,
     ) -> None:
         arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
@@ -99,22 +95,19 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         if render_mode is not None and render_mode not in modes:
             raise CaterpillarError(
                 f"render_mode must be None or one of {', '.join(modes)}; got {render_mode!r}"
-                + ('. "human" needs a display, and DISPLAY is not set' if len(modes) < 4 else "")
+                + ('. "human" needs a display, and DISPLAY is not set' if len(modes) < 2 else "")
             )
         body = Morphology.of({} if morphology is None else morphology)
-        self._episodes = Episodes([body], EpisodeConfig.of(arguments), threads)
+        self._episodes = Episodes([body], EpisodeConfig.of(arguments), threads=1)
         self.crawl = self._episodes.crawl
         self.on_interval: OnInterval | None = None
         self.action_space = self._episodes.action_space
         self.observation_space = self._episodes.observation_space
         self.render_mode = render_mode
-        view = View(width, height, camera_name, default_camera_config)
+        view = View(width, height, camera_name)
         self._pictures = Pictures(self.crawl, view, overlay=overlay)
-        self._frames: list[Any] = []
         self._running = False
-        fps = self.metadata["render_fps"]
-        if render_mode in ("rgb_array", "depth_array"):
-            fps = 1 / self.dt  # one frame per step
+        fps = 1 / self.dt if render_mode == "rgb_array" else self.metadata["render_fps"]
         self.metadata = {**self.metadata, "render_modes": modes, "render_fps": fps}
 
     @property
@@ -141,9 +134,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         bodies = [Morphology.of(chosen["morphology"])] if "morphology" in chosen else None
         observation, info = self._episodes.reset(_ROW, [self.np_random], bodies)
         self._running = True
-        self._frames = []
-        self._pictures.restart(0)
-        self._draw_live()
+        self._update_window()
         return observation[0], _scalars(info)
 
     def step(
@@ -152,30 +143,25 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         """Advance by `frame_skip` gait periods (timing) or control intervals (switch)."""
         if not self._running:
             raise CaterpillarError("call reset() before step()")
-        live = self.on_interval is not None or self.render_mode in ("human", "rgb_array_list")
-        step = self._episodes.step(
-            self._episodes.check_actions([action], 1),
-            _ROW,
-            self._after_interval if live else None,
+        live = self.on_interval is not None or self.render_mode == "human"
+        observation, reward, terminated, truncated, info = self._episodes.step(
+            self._episodes.check_actions([action], 1), _ROW, self._after_interval if live else None
         )
         return (
-            step.observation[0],
-            float(step.reward[0]),
-            bool(step.terminated[0]),
-            bool(step.truncated[0]),
-            _scalars(step.info),
+            observation[0],
+            float(reward[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            _scalars(info),
         )
 
     def render(self) -> Any:
-        """Draw the current state; in "rgb_array_list" mode, return the frames since the last call."""
+        """Draw the current state."""
         if self.render_mode is None:
             gymnasium.logger.warn(
                 'render() draws nothing without a render mode: make(..., render_mode="rgb_array")'
             )
             return None
-        if self.render_mode == "rgb_array_list":
-            frames, self._frames = self._frames, []
-            return frames
         if not self._running:
             raise CaterpillarError("call reset() before render()")
         return self._pictures.draw(0, self.render_mode)
@@ -187,14 +173,11 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     def _after_interval(self, trace: Trace) -> None:
         if self.on_interval is not None:
             self.on_interval(trace)
-        self._draw_live()
+        self._update_window()
 
-    def _draw_live(self) -> None:
+    def _update_window(self) -> None:
         if self.render_mode == "human":
             self._pictures.draw(0, "human")
-        elif self.render_mode == "rgb_array_list":
-            frame = self._pictures.draw(0, "rgb_array")
-            self._frames += [] if frame is None else [frame]
 
 
 def _scalars(info: dict[str, NDArray[Any]]) -> dict[str, Any]:

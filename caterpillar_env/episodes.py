@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from gymnasium import spaces
@@ -22,6 +22,8 @@ from caterpillar_env.randomization import Randomization
 from caterpillar_env.task import STEPS_PER_INTERVAL, Crawl, Failure, OnInterval, Progress, label
 
 ActionMode = Literal["timing", "switch"]
+#: Observations, rewards, terminations, truncations and info of R robots; `info` maps keys to arrays.
+Step = tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, NDArray[Any]]]
 
 #: Bound of every entry of an observation. Entries of healthy robots have a magnitude of about one.
 OBSERVATION_LIMIT = 1000.0
@@ -64,8 +66,6 @@ class EpisodeConfig:
             value = getattr(self, name)
             if not (isinstance(value, (int, float, np.number)) and 0 <= value < np.inf):
                 raise CaterpillarError(f"{name} must be finite and not negative; got {value!r}")
-        count_steps(self.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
-        count_steps(self.episode_s, CONTROL_INTERVAL_S, "episode_s")
         if self.randomization is not None:
             self.randomization.check(self.physics)
 
@@ -76,35 +76,6 @@ class EpisodeConfig:
         chosen["physics"] = Physics.of(chosen["physics"])
         chosen["randomization"] = Randomization.of(chosen["randomization"])
         return cls(**chosen)
-
-    @property
-    def step_intervals(self) -> int:
-        """Number of control intervals in an environment step."""
-        period = count_steps(self.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
-        return self.frame_skip * (period if self.action_mode == "timing" else 1)
-
-    @property
-    def episode_intervals(self) -> int:
-        """Number of control intervals in an episode without failure."""
-        intervals = count_steps(self.episode_s, CONTROL_INTERVAL_S, "episode_s")
-        if not self.max_episode_steps:
-            return intervals
-        return min(intervals, self.max_episode_steps * self.step_intervals)
-
-    @property
-    def clock_period_s(self) -> float | None:
-        """Period of the observed phase, s. None in timing mode, where the phase is always zero."""
-        return self.gait_period_s if self.action_mode == "switch" else None
-
-
-class Step(NamedTuple):
-    """Results of a step, with one entry per robot. `info` maps keys to arrays."""
-
-    observation: NDArray[np.float32]
-    reward: Array
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-    info: dict[str, NDArray[Any]]
 
 
 class Episodes:
@@ -119,13 +90,19 @@ class Episodes:
     def __init__(self, bodies: Sequence[Morphology], config: EpisodeConfig, threads: int) -> None:
         self.config, physics = config, config.physics
         self.crawl = Crawl(bodies, physics, threads, stop_on_failure=config.terminate_on_failure)
-        self._step_intervals, self._limit = config.step_intervals, config.episode_intervals
-        self._clock_s = config.clock_period_s
+        timing = config.action_mode == "timing"
+        period = count_steps(config.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
+        self._step_intervals = config.frame_skip * (period if timing else 1)
+        self._limit = count_steps(config.episode_s, CONTROL_INTERVAL_S, "episode_s")
+        if config.max_episode_steps:
+            self._limit = min(self._limit, config.max_episode_steps * self._step_intervals)
+        # In timing mode the observed phase would always be zero.
+        self._clock_s = None if timing else config.gait_period_s
         self._scaled_bodies = np.zeros((len(bodies), len(NAMES)))  # in [-1, 1], as observed
         self._intervals = np.zeros(len(bodies), dtype=np.int64)  # since reset
 
         self.action_space: spaces.Box | spaces.MultiBinary
-        if config.action_mode == "timing":
+        if timing:
             size = physics.num_springs if config.symmetric else 2 * physics.num_springs
             self.action_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
         else:
@@ -204,13 +181,10 @@ class Episodes:
         failure = -config.failure_cost * (failed & (before.failure == Failure.NONE))
         terminated = failed if config.terminate_on_failure else diverged
         state = self.crawl.simulation.state(rows)
-        return Step(
-            observation=self._observe(rows, state, after),
-            reward=forward + ctrl + failure,
-            terminated=terminated,
-            truncated=~terminated & (self._intervals[rows] >= self._limit),
-            info=self._info(rows, state, before, after, forward, ctrl) | {"reward_failure": failure},
-        )
+        truncated = ~terminated & (self._intervals[rows] >= self._limit)
+        info = self._info(rows, state, before, after, forward, ctrl) | {"reward_failure": failure}
+        observation = self._observe(rows, state, after)
+        return observation, forward + ctrl + failure, terminated, truncated, info
 
     def check_actions(self, actions: Any, count: int) -> Array:
         """Return the actions of `count` robots as an array with one row per robot.
@@ -311,11 +285,9 @@ def check_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) -> 
     """Return the reset options as a new dict.
 
     Raises:
-        CaterpillarError: `options` is not a mapping, or a key is not in `known`.
+        CaterpillarError: a key is not in `known`.
     """
-    if options is None:
-        return {}
-    if not isinstance(options, Mapping) or not set(options) <= set(known):
-        got = sorted(map(str, set(options) - set(known))) if isinstance(options, Mapping) else options
-        raise CaterpillarError(f"reset options are {', '.join(known)}; got {got}")
-    return dict(options)
+    chosen = dict(options or {})
+    if unknown := sorted(set(chosen) - set(known)):
+        raise CaterpillarError(f"reset options are {', '.join(known)}; got {unknown}")
+    return chosen

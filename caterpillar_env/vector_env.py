@@ -78,7 +78,6 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         width: int = 640,
         height: int = 480,
         camera_name: str = "track",
-        default_camera_config: dict[str, Any] | None = None,
         overlay: bool = False,
     ) -> None:
         config = EpisodeConfig.of(locals())
@@ -101,7 +100,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
             "render_fps": 1 / self._episodes.step_s,
         }
         self.render_mode = render_mode
-        view = View(width, height, camera_name, default_camera_config)
+        view = View(width, height, camera_name)
         self._pictures = Pictures(self.crawl, view, overlay=overlay)
         self._generators: list[np.random.Generator] = []
         self._done = np.zeros(num_envs, dtype=bool)
@@ -187,12 +186,10 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         truncated = np.zeros(self.num_envs, dtype=bool)
         info: dict[str, Any] = {}
         if going.size:
-            step = self._episodes.step(actions[going], going)
-            self._observations[going] = step.observation
-            rewards[going] = step.reward
-            terminated[going] = step.terminated
-            truncated[going] = step.truncated
-            self._merge(info, step.info, going)
+            observations, reward, failed, timed_out, stepped = self._episodes.step(actions[going], going)
+            self._observations[going], rewards[going] = observations, reward
+            terminated[going], truncated[going] = failed, timed_out
+            self._merge(info, stepped, going)
         if stale.size:
             self._start(stale, info)
         self._done = terminated | truncated
@@ -215,8 +212,6 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         self, rows: Rows, info: dict[str, Any], bodies: Sequence[Morphology] | None = None
     ) -> None:
         """Start new episodes in `rows` and write their first info into `info`."""
-        for row in rows:
-            self._pictures.restart(row)
         observations, started = self._episodes.reset(rows, [self._generators[r] for r in rows], bodies)
         self._observations[rows] = observations
         self._done[rows] = False

@@ -12,8 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from caterpillar_env.arrays import Array
 from caterpillar_env.sma import SmaSpring
 
-CONTACT_RGB = (1.0, 0.55, 0.05)  #: colour of feet and spots that touch the ground
-PATH_RGB = (0.55, 0.15, 0.60)  #: colour of the path of the centre of mass
+CONTACT_RGB = (1.0, 0.55, 0.05)  #: colour of the spots where the robot touches the ground
 
 _COLD = np.array([0.10, 0.35, 0.95])
 _WARM = np.array([0.98, 0.85, 0.20])
@@ -77,7 +76,7 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 @lru_cache(maxsize=32)
 def _legend(spring: SmaSpring, size: int) -> Image.Image:
-    """Draw the legend (temperature scale, contact spot and path) with a font of `size` pixels."""
+    """Draw the legend (temperature scale and contact spot) with a font of `size` pixels."""
     image = Image.new("RGBA", (17 * size, round(5.3 * size)))
     draw = ImageDraw.Draw(image)
     right, bottom = image.width - 1, image.height - 1
@@ -98,10 +97,7 @@ def _legend(spring: SmaSpring, size: int) -> Image.Image:
         at = (right - 0.4 * size if unit else tick, top + 1.05 * size)
         draw.text(at, f"{temperature_c:.0f}{unit}", fill=_INK, font=_font(size), anchor=anchor)
     y = 4.45 * size
-    spot, line = (tuple(round(255 * c) for c in rgb) for rgb in (CONTACT_RGB, PATH_RGB))
+    spot = tuple(round(255 * c) for c in CONTACT_RGB)
     draw.ellipse((left, y - 0.35 * size, left + 0.7 * size, y + 0.35 * size), fill=spot)
     draw.text((left + 1.1 * size, y), "on the ground", fill=_INK, font=_font(size), anchor="lm")
-    dash = left + 9.6 * size
-    draw.line((dash, y, dash + 1.2 * size, y), fill=line, width=max(2, size // 5))
-    draw.text((dash + 1.6 * size, y), "path", fill=_INK, font=_font(size), anchor="lm")
     return image

@@ -347,7 +347,6 @@ def test_unknown_option_error_lists_the_known_options():
         ({"physics": {"legs": 6}}, "physics has no legs"),
         ({"morphology": [1, 2]}, "8 numbers"),
         ({"render_mode": "ascii"}, "render_mode must be None or one of .*rgb_array"),
-        ({"threads": -1}, "threads >= 0"),
     ],
     ids=lambda v: str(v) if isinstance(v, dict) else "",
 )

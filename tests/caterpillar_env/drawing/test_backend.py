@@ -1,4 +1,4 @@
-"""Rendering without a display uses EGL or OSMesa. Importing changes no environment variable."""
+"""Rendering without a display uses EGL. Importing changes no environment variable."""
 
 import os
 import subprocess
@@ -17,41 +17,14 @@ def headless(monkeypatch):
         monkeypatch.delenv(name, raising=False)
 
 
-@pytest.mark.parametrize(
-    ("found", "egl_works", "chosen"),
-    [
-        ({"EGL"}, True, "egl"),
-        ({"EGL"}, False, "egl"),  # the only backend; drawing reports why it fails
-        ({"EGL", "OSMesa"}, True, "egl"),
-        ({"EGL", "OSMesa"}, False, "osmesa"),
-        ({"OSMesa"}, False, "osmesa"),
-        (set(), False, "disabled"),
-    ],
-)
-def test_egl_is_preferred_to_osmesa(found, egl_works, chosen, headless, monkeypatch):
-    libraries = {
-        f"lib{name}.so.{number}" for name, number in (("EGL", 1), ("OSMesa", 8)) if name in found
-    }
-    monkeypatch.setattr(backend, "_has_library", libraries.__contains__)
-    monkeypatch.setattr(backend, "_egl_works", lambda: egl_works)
-    assert backend.choose_backend() == chosen
+def test_default_is_egl(headless):
+    assert backend.choose_backend() == "egl"
 
 
 @pytest.mark.parametrize(("name", "chosen"), [("DISPLAY", "glfw"), ("MUJOCO_GL", "mine")])
 def test_display_and_environment_variable_take_precedence(name, chosen, headless, monkeypatch):
     monkeypatch.setenv(name, "mine")
     assert backend.choose_backend() == chosen
-
-
-@pytest.mark.drawing
-@pytest.mark.skipif(sys.platform != "linux", reason="EGL exists on Linux only")
-def test_egl_without_a_driver_does_not_work(headless, monkeypatch):
-    if backend.choose_backend() != "egl":
-        pytest.skip("EGL is not installed")
-    assert backend._egl_works()
-    for name in ("FILENAMES", "DIRS"):
-        monkeypatch.setenv(f"__EGL_VENDOR_LIBRARY_{name}", "/nowhere")
-    assert not backend._egl_works()
 
 
 def run(code):
