@@ -12,9 +12,10 @@ from baselines.config import TrainConfig
 from baselines.history import make_configuration
 from baselines.policy import TrainedRobot
 from baselines.training import train
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
 from evolution.run.history import History
-from evolution.study.arms import StudyError, merge
+from evolution.study.arms import merge
 
 
 @dataclass(frozen=True)
@@ -31,10 +32,10 @@ class TrainArm:
         """Make an arm from its settings and the physics of the study's base.
 
         Raises:
-            StudyError: the base sets a gait period that differs from that of the environments.
+            CaterpillarError: the base sets a gait period that differs from that of the environments.
         """
         if base.get("gait_period_s", GAIT_PERIOD_S) != GAIT_PERIOD_S:
-            raise StudyError(
+            raise CaterpillarError(
                 f"base.gait_period_s = {base['gait_period_s']!r} does not apply to policies, whose gait "
                 f"period is {GAIT_PERIOD_S:g} s; set it in each arm of evolution instead"
             )

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
-from baselines.config import POPULATION, TrainConfig, TrainingError
+from baselines.config import POPULATION, TrainConfig
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.arrays import Array
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import NAMES, Morphology
 from evolution.config import RunConfig
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
@@ -62,7 +63,7 @@ class CoDesign(BaseCallback):
         model: Any = self.model
         steps = round(self._robots.vector_env.episode_s / self._robots.vector_env.step_s)
         if model.n_steps != steps:
-            raise TrainingError(
+            raise CaterpillarError(
                 f"n_steps = {model.n_steps} must be {steps}, the steps of one episode of "
                 f"{self._robots.vector_env.episode_s:g} s, for co-design"
             )

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from baselines.config import TrainingError
 from baselines.history import Training
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import writing
 from caterpillar_env.task import Failure
 from evolution.run.records import Evaluation
@@ -46,12 +46,12 @@ def summarize(name: str, trainings: Sequence[Training]) -> Summary:
     """Summarize a group of training runs.
 
     Raises:
-        TrainingError: a training run has no evaluation yet.
+        CaterpillarError: a training run has no evaluation yet.
     """
     best_m, untrained_m, spent_s = [], [], []
     for _, history in trainings:
         if not history.evaluations:
-            raise TrainingError(
+            raise CaterpillarError(
                 f"{history.folder} has no evaluation yet; wait for the first one, or remove the folder"
             )
         best_m.append(0.0 if history.best is None else history.best.distance_m)

@@ -27,16 +27,12 @@ HYPERPARAMETERS = Path(__file__).with_name("hyperparams")
 _PERIODS_PER_EPISODE = round(EPISODE_S / GAIT_PERIOD_S)
 
 
-class TrainingError(CaterpillarError):
-    """A training run cannot be started or read."""
-
-
 @dataclass(frozen=True)
 class TrainConfig:
     """Settings that affect the result of a training run.
 
     Raises:
-        TrainingError: a value is out of range, or two settings exclude each other.
+        CaterpillarError: a value is out of range, or two settings exclude each other.
     """
 
     algorithm: AlgorithmName = "ppo"  #: learning algorithm of stable-baselines3 or sb3-contrib
@@ -54,24 +50,24 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         for name, kind in (("algorithm", AlgorithmName), ("mode", Mode), ("design", Design)):
-            check_choice(name, getattr(self, name), kind, TrainingError)
+            check_choice(name, getattr(self, name), kind)
         if not 0 <= self.seed < 2**32:
-            raise TrainingError(f"seed = {self.seed} must be an integer from 0 to {2**32 - 1}")
+            raise CaterpillarError(f"seed = {self.seed} must be an integer from 0 to {2**32 - 1}")
         if not EPISODE_S <= self.budget_s < np.inf:
-            raise TrainingError(
+            raise CaterpillarError(
                 f"budget_s = {self.budget_s:g} must be at least {EPISODE_S:g}, the length of one episode"
             )
         if self.evaluations < 1:
-            raise TrainingError(f"evaluations = {self.evaluations} must be at least 1")
+            raise CaterpillarError(f"evaluations = {self.evaluations} must be at least 1")
         if self.open_loop and self.mode != "timing":
-            raise TrainingError(f"open_loop requires mode timing; got mode {self.mode}")
+            raise CaterpillarError(f"open_loop requires mode timing; got mode {self.mode}")
         if self.design != "fixed" and (self.algorithm != "ppo" or self.open_loop):
-            raise TrainingError(
+            raise CaterpillarError(
                 f"design = {self.design!r} requires algorithm ppo without open_loop; choose these, or "
                 "design fixed"
             )
         if self.design != "fixed" and self.morphology != Morphology():
-            raise TrainingError(
+            raise CaterpillarError(
                 f"design = {self.design!r} evolves the body: remove the body, or choose design fixed"
             )
         if (randomization := Randomization.of(self.randomize)) is not None:
@@ -90,7 +86,7 @@ class TrainConfig:
         for name, kind in (("physics", Physics), ("morphology", Morphology)):
             if name in values:
                 values[name] = kind.of(values[name])
-        return from_mapping(cls, values, "a training run", TrainingError)
+        return from_mapping(cls, values, "a training run")
 
     def to_dict(self) -> dict[str, Any]:
         """Return the configuration as plain JSON."""
@@ -134,13 +130,13 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
     """Read `hyperparams/ALGORITHM.yml`, and adapt it to bandits and co-design.
 
     Raises:
-        TrainingError: the algorithm does not support the environment's action space.
+        CaterpillarError: the algorithm does not support the environment's action space.
     """
     path = HYPERPARAMETERS / f"{config.algorithm}.yml"
     table = yaml.safe_load(path.read_text(encoding="utf-8"))
     if config.env_id not in table:
         modes = ", ".join(mode for mode, env_id in ENVIRONMENTS.items() if env_id in table)
-        raise TrainingError(
+        raise CaterpillarError(
             f"{config.algorithm} does not support mode {config.mode!r}; it supports {modes}"
         )
     model: dict[str, Any] = table[config.env_id]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from baselines.config import TrainConfig, TrainingError, hyperparameters
+from baselines.config import TrainConfig, hyperparameters
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import Morphology
 from evolution.run.history import History
 from evolution.run.records import Evaluation
@@ -36,14 +37,14 @@ class Training(NamedTuple):
             CaterpillarError: the folder contains no training run, or an older version wrote it.
         """
         if (folder / "training.json").exists():
-            raise TrainingError(
+            raise CaterpillarError(
                 f"{folder} was written by an older version (training.json), which this version cannot "
                 "read; repeat the training in a different folder"
             )
         history = History.read(folder)
         data = dict(history.configuration)
         if data.pop("kind", None) != KIND:
-            raise TrainingError(
+            raise CaterpillarError(
                 f"{folder} contains an evolutionary run; give a folder that caterpillar rl train made"
             )
         del data["hyperparameters"]

@@ -15,10 +15,11 @@ from stable_baselines3 import A2C, PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from baselines.config import TrainConfig, TrainingError
+from baselines.config import TrainConfig
 from baselines.history import Training
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.env import CaterpillarEnv
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import write_json
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
@@ -65,12 +66,12 @@ class Policy:
             config: configuration of the training run.
 
         Raises:
-            TrainingError: the file cannot be read.
+            CaterpillarError: the file cannot be read.
         """
         try:
             model = ALGORITHMS[config.algorithm].load(path, device="cpu")
         except (OSError, ValueError) as error:
-            raise TrainingError(f"cannot read the policy {path}: {error}") from None
+            raise CaterpillarError(f"cannot read the policy {path}: {error}") from None
         statistics = _statistics(path)
         if not statistics.exists():
             return cls(model, None)
@@ -147,7 +148,7 @@ class TrainedRobot:
         if which == "last" and history.evaluations:
             evaluation = history.evaluations[-1]
         if evaluation is None:
-            raise TrainingError(
+            raise CaterpillarError(
                 f"{folder} contains no {which} policy: no policy was evaluated yet, or none crawled "
                 "forwards without failing (in that case use --which last)"
             )

@@ -15,10 +15,11 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from baselines.codesign import CoDesign
-from baselines.config import TrainConfig, TrainingError, hyperparameters
+from baselines.config import TrainConfig, hyperparameters
 from baselines.history import Training, make_configuration
 from baselines.policy import ALGORITHMS, Policy, make_env
 from baselines.vec_env import CaterpillarVecEnv
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import make_folder
 from caterpillar_env.task import EPISODE_S
 from evolution.run.history import History
@@ -59,10 +60,12 @@ def train(
 
     Raises:
         CaterpillarError: the folder is not empty or cannot be written.
-        TrainingError: the budget is too small, or TensorBoard is not installed.
+        CaterpillarError: the budget is too small, or TensorBoard is not installed.
     """
     if tensorboard and find_spec("tensorboard") is None:
-        raise TrainingError("TensorBoard is not installed: pip install 'caterpillar-sma[tensorboard]'")
+        raise CaterpillarError(
+            "TensorBoard is not installed: pip install 'caterpillar-sma[tensorboard]'"
+        )
     robots = CaterpillarVecEnv(
         config.env_id, hyperparameters(config).n_envs, threads=threads, morphology=config.morphology,
         randomization=config.randomize, **config.env_kwargs(),
@@ -99,18 +102,18 @@ def _check_budget(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
     """Return the maximum simulated seconds of one step of all robots and two evaluations.
 
     Raises:
-        TrainingError: the budget is smaller than that, or too small for co-design.
+        CaterpillarError: the budget is smaller than that, or too small for co-design.
     """
     count, budget_s = robots.num_envs, config.budget_s
     reserve_s = count * robots.vector_env.step_s + 2 * EPISODE_S
     if reserve_s > budget_s:
-        raise TrainingError(
+        raise CaterpillarError(
             f"budget_s = {budget_s:g} is too small: one step of {count} robots and two evaluations take "
             f"{reserve_s:g} simulated seconds"
         )
     rollouts_s = _MIN_ROLLOUTS * count * EPISODE_S
     if config.design != "fixed" and budget_s < rollouts_s:
-        raise TrainingError(
+        raise CaterpillarError(
             f"budget_s = {budget_s:g} is too small for co-design: {_MIN_ROLLOUTS} episodes of {count} "
             f"robots take {rollouts_s:g} simulated seconds"
         )

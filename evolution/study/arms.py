@@ -24,10 +24,6 @@ from evolution.run.loop import evolve, resume
 _UNLIMITED = 1_000_000  # generations: the budget ends a run
 
 
-class StudyError(CaterpillarError):
-    """The settings or the folder of a study are invalid, or one of its runs failed."""
-
-
 class Arm(Protocol):
     """Settings of a run except its seed and budget. Equal arms produce equal runs.
 
@@ -75,11 +71,11 @@ def make_arm(data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm:
     name = settings.pop("kind", "evolution")
     known = {e.name: e for e in entry_points(group="caterpillar.arms")}
     if name not in known:
-        raise StudyError(f"kind = {name!r} must be one of {', '.join(sorted(known))}")
+        raise CaterpillarError(f"kind = {name!r} must be one of {', '.join(sorted(known))}")
     try:
         kind: type[Arm] = known[name].load()
     except ImportError as error:
-        raise StudyError(
+        raise CaterpillarError(
             f"kind = {name!r} needs a package that is missing: {error} (for 'rl': pip install "
             "'caterpillar-sma[rl]')"
         ) from None
@@ -111,7 +107,7 @@ class EvolutionArm:
         """
         config = RunConfig.from_dict(merge(base, data))
         if config.target_m is not None:
-            raise StudyError(
+            raise CaterpillarError(
                 f"target_m = {config.target_m:g} would end runs before their budget is spent; remove it "
                 "(the targets of a study are its threshold_shares)"
             )

@@ -17,9 +17,10 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from caterpillar_env.errors import CaterpillarError
 from evolution.run.evaluators import connect_ray
 from evolution.run.journal import read_simulated_s
-from evolution.study.arms import Arm, StudyError
+from evolution.study.arms import Arm
 from evolution.study.config import Cell, StudyConfig
 from evolution.study.results import read_finished
 
@@ -51,7 +52,7 @@ class Processes:
         """Run a cell to its end.
 
         Raises:
-            StudyError: the cell raised an error, or its process was killed.
+            CaterpillarError: the cell raised an error, or its process was killed.
         """
         context = multiprocessing.get_context("spawn")
         receiver, sender = context.Pipe(duplex=False)
@@ -65,7 +66,7 @@ class Processes:
             process.join()
             error = f"its process ended with status {process.exitcode}" if process.exitcode else None
         if error is not None:
-            raise StudyError(error)
+            raise CaterpillarError(error)
 
 
 def _run_in_process(errors: Connection, task: _Task) -> None:
@@ -118,7 +119,7 @@ class RayTasks:
         """Run a cell to its end.
 
         Raises:
-            StudyError: the cell raised an error, or was cancelled.
+            CaterpillarError: the cell raised an error, or was cancelled.
         """
         import ray
 
@@ -128,7 +129,7 @@ class RayTasks:
             ray.get(reference)
         except ray.exceptions.RayError as error:
             cause = getattr(error, "cause", error)
-            raise StudyError(f"{type(cause).__name__}: {cause}") from None
+            raise CaterpillarError(f"{type(cause).__name__}: {cause}") from None
         finally:
             self._references.remove(reference)
 
@@ -177,4 +178,4 @@ def run_study(
 
 def _run(arm: Arm, folder: Path, seed: int, budget_s: float) -> None:
     if not arm.run(folder, seed, budget_s):
-        raise StudyError(f"{folder} was interrupted; run the study again to continue")
+        raise CaterpillarError(f"{folder} was interrupted; run the study again to continue")

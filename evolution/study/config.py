@@ -19,7 +19,7 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import read, write_json, writing
 from caterpillar_env.task import EPISODE_S
 from evolution.config import RunConfig
-from evolution.study.arms import Arm, EvolutionArm, StudyError, make_arm
+from evolution.study.arms import Arm, EvolutionArm, make_arm
 
 SETTINGS = "study.json"  #: name of the file with a study's configuration
 
@@ -43,7 +43,7 @@ class StudyConfig:
     """Configuration of a study.
 
     Raises:
-        StudyError: a value is out of range, a seed is repeated, or the reference is not an arm.
+        CaterpillarError: a value is out of range, a seed is repeated, or the reference is not an arm.
     """
 
     arms: Mapping[str, Arm]
@@ -59,37 +59,41 @@ class StudyConfig:
 
     def __post_init__(self) -> None:
         if not self.arms:
-            raise StudyError("a study needs arms: add a table [arms.NAME] for each of them")
+            raise CaterpillarError("a study needs arms: add a table [arms.NAME] for each of them")
         for arm in self.arms:
             if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", arm):
-                raise StudyError(
+                raise CaterpillarError(
                     "the name of an arm is used for a folder: use letters, digits, '.', '_' and '-'; "
                     f"got {arm!r}"
                 )
         if self.reference not in self.arms:
-            raise StudyError(
+            raise CaterpillarError(
                 f"reference = {self.reference!r} must be one of the arms {', '.join(self.arms)}"
             )
         for name in ("seeds", "pilot_seeds"):
             seeds = getattr(self, name)
             valid = isinstance(seeds, tuple) and all(isinstance(s, int) and s >= 0 for s in seeds)
             if not valid or not seeds or len(set(seeds)) < len(seeds):
-                raise StudyError(f"{name} must be a list of different integers from 0; got {seeds!r}")
+                raise CaterpillarError(
+                    f"{name} must be a list of different integers from 0; got {seeds!r}"
+                )
         if both := set(self.seeds) & set(self.pilot_seeds):
-            raise StudyError(
+            raise CaterpillarError(
                 f"seeds {sorted(both)} are pilot seeds too: thresholds must come from runs that are not "
                 "analysed; choose other pilot_seeds"
             )
         if not isinstance(self.budget_s, (int, float)) or not EPISODE_S <= self.budget_s < np.inf:
-            raise StudyError(
+            raise CaterpillarError(
                 f"budget_s = {self.budget_s!r} must be at least {EPISODE_S:g}, the simulated seconds of "
                 "one evaluation"
             )
         if not isinstance(self.generation, int) or self.generation < 0:
-            raise StudyError(f"generation = {self.generation!r} must be an integer from 0")
+            raise CaterpillarError(f"generation = {self.generation!r} must be an integer from 0")
         shares = self.threshold_shares
         if not isinstance(shares, tuple) or not shares or not all(0 < s < np.inf for s in shares):
-            raise StudyError(f"threshold_shares must be a list of positive numbers; got {shares!r}")
+            raise CaterpillarError(
+                f"threshold_shares must be a list of positive numbers; got {shares!r}"
+            )
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> StudyConfig:
@@ -104,12 +108,12 @@ class StudyConfig:
             _check_table(name, table)
         known = [f.name for f in fields(cls) if f.name not in ("arms", "sources")]
         if unknown := set(settings) - set(known):
-            raise StudyError(
+            raise CaterpillarError(
                 f"a study has no {', '.join(sorted(unknown))}; its fields are base, arms, "
                 f"{', '.join(known)}"
             )
         if missing := [name for name in ("seeds", "pilot_seeds", "budget_s") if name not in settings]:
-            raise StudyError(f"a study needs {', '.join(missing)}")
+            raise CaterpillarError(f"a study needs {', '.join(missing)}")
         arms = {name: _read_arm(name, arm, sources["base"]) for name, arm in sources["arms"].items()}
         return cls(arms, **settings, sources=sources)
 
@@ -149,28 +153,28 @@ class StudyConfig:
 
 def _check_table(name: str, table: Any) -> None:
     if not isinstance(table, Mapping):
-        raise StudyError(f"{name} must be a table; got {table!r}")
+        raise CaterpillarError(f"{name} must be a table; got {table!r}")
 
 
 def _read_arm(name: str, settings: Any, base: Mapping[str, Any]) -> Arm:
     _check_table(f"arms.{name}", settings)
     if reserved := {*settings, *base} & {"seed", "generations", "budget_s"}:
         names = ", ".join(sorted(reserved))
-        raise StudyError(f"arms.{name}: remove {names}, which the study sets for every run")
+        raise CaterpillarError(f"arms.{name}: remove {names}, which the study sets for every run")
     try:
         return make_arm(settings, base)
     except CaterpillarError as error:
-        raise StudyError(f"arms.{name}: {error}") from None
+        raise CaterpillarError(f"arms.{name}: {error}") from None
 
 
 def read_toml(path: Path) -> StudyConfig:
     """Read a study from a TOML file.
 
     Raises:
-        StudyError: the file is missing, is not TOML, or does not describe a study.
+        CaterpillarError: the file is missing, is not TOML, or does not describe a study.
     """
     missing = "give the TOML file of a study, or --preset"
-    return read(path, StudyConfig.from_dict, missing, tomllib.loads, StudyError)
+    return read(path, StudyConfig.from_dict, missing, tomllib.loads, CaterpillarError)
 
 
 def preset(name: str) -> StudyConfig:
@@ -184,7 +188,7 @@ def begin(config: StudyConfig, folder: Path) -> None:
     Arms and seeds can be added to an existing study. Its other settings cannot be changed.
 
     Raises:
-        StudyError: the folder contains other files, or a study with different settings.
+        CaterpillarError: the folder contains other files, or a study with different settings.
     """
     file = folder / SETTINGS
     if file.exists():
@@ -193,14 +197,16 @@ def begin(config: StudyConfig, folder: Path) -> None:
         changed = [name for name in names if getattr(before, name) != getattr(config, name)]
         changed += [f"arms.{a}" for a, arm in before.arms.items() if config.arms.get(a, arm) != arm]
         if changed:
-            raise StudyError(
+            raise CaterpillarError(
                 f"{folder} holds a study with other {', '.join(changed)}, whose runs are not "
                 "comparable; choose another folder with --out"
             )
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         if not file.exists() and any(folder.iterdir()):
-            raise StudyError(f"{folder} is not empty and holds no study; choose another with --out")
+            raise CaterpillarError(
+                f"{folder} is not empty and holds no study; choose another with --out"
+            )
         write_json(file, config.to_dict())
 
 
@@ -208,7 +214,7 @@ def load(folder: Path) -> StudyConfig:
     """Read the study of a folder.
 
     Raises:
-        StudyError: the folder contains no study, or the study cannot be read.
+        CaterpillarError: the folder contains no study, or the study cannot be read.
     """
     missing = "give a folder that caterpillar study made"
-    return read(folder / SETTINGS, StudyConfig.from_dict, missing, error=StudyError)
+    return read(folder / SETTINGS, StudyConfig.from_dict, missing, error=CaterpillarError)

@@ -13,10 +13,10 @@ import polars
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import write_json
 from evolution.run.database import JournalError
 from evolution.run.history import History
-from evolution.study.arms import StudyError
 from evolution.study.config import Cell, StudyConfig
 
 DATA = "evaluations.parquet"  #: name of the file with all evaluations of a study
@@ -37,7 +37,7 @@ def read_finished(config: StudyConfig, cell: Cell, study: Path) -> History | Non
     """Read a run of a study, or return None if it is missing, unfinished or unreadable.
 
     Raises:
-        StudyError: the run was made with different settings.
+        CaterpillarError: the run was made with different settings.
     """
     folder = cell.folder(study)
     try:
@@ -45,7 +45,7 @@ def read_finished(config: StudyConfig, cell: Cell, study: Path) -> History | Non
     except JournalError:
         return None  # running this cell reports the error
     if not config.arms[cell.arm].matches(history, cell.seed, config.budget_s):
-        raise StudyError(
+        raise CaterpillarError(
             f"{folder} was run with other settings; choose another folder for the study, or remove it"
         )
     return history if history.finished else None

@@ -10,9 +10,10 @@ import pytest
 
 from baselines.arms import TrainArm
 from baselines.config import TrainConfig
+from caterpillar_env.errors import CaterpillarError
 from evolution.run.history import History
 from evolution.study import winners
-from evolution.study.config import Cell, StudyConfig, StudyError, load, preset
+from evolution.study.config import Cell, StudyConfig, load, preset
 from evolution.study.results import collect
 
 TOML = """
@@ -118,7 +119,7 @@ def test_arm_takes_the_physics_of_the_base():
 
 
 def test_other_gait_period_is_rejected():
-    with pytest.raises(StudyError, match="whose gait period is 5 s"):
+    with pytest.raises(CaterpillarError, match="whose gait period is 5 s"):
         TrainArm.from_dict({}, {"gait_period_s": 4.0})
 
 
@@ -136,7 +137,7 @@ def test_invalid_arm_is_rejected(arm, message):
     data = {
         "seeds": [0], "pilot_seeds": [1], "budget_s": 300, "reference": "x", "arms": {"x": arm},
     }  # fmt: skip
-    with pytest.raises(StudyError) as caught:
+    with pytest.raises(CaterpillarError) as caught:
         StudyConfig.from_dict(data)
     assert message in str(caught.value)
 

@@ -7,11 +7,12 @@ import pytest
 
 from baselines import training
 from baselines.codesign import FROZEN_SHARE, POPULATION, CoDesign
-from baselines.config import TrainConfig, TrainingError
+from baselines.config import TrainConfig
 from baselines.history import Training
 from baselines.policy import TrainedRobot
 from baselines.training import train
 from baselines.vec_env import CaterpillarVecEnv
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 
@@ -118,5 +119,5 @@ def test_prior_sets_the_start_of_the_search():
 
 def test_rollout_length_must_equal_the_episode_length():
     designs, _ = make_codesign(n_steps=10)
-    with pytest.raises(TrainingError, match="n_steps = 10 must be 6"):
+    with pytest.raises(CaterpillarError, match="n_steps = 10 must be 6"):
         designs.on_rollout_start()

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from baselines import comparison
-from baselines.config import TrainConfig, TrainingError
+from baselines.config import TrainConfig
 from baselines.history import Training, make_configuration
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.robot import Outcomes
@@ -79,5 +79,5 @@ def test_unwritable_file_is_rejected(tmp_path):
 
 
 def test_training_without_evaluations_is_rejected(tmp_path):
-    with pytest.raises(TrainingError, match="has no evaluation yet"):
+    with pytest.raises(CaterpillarError, match="has no evaluation yet"):
         comparison.summarize("x", [record(tmp_path / "a", [])])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from baselines import training
-from baselines.config import TrainConfig, TrainingError, hyperparameters
+from baselines.config import TrainConfig, hyperparameters
 from baselines.history import Training
 from baselines.policy import Policy, RandomActor, TrainedRobot, make_env
 from baselines.training import train
@@ -130,7 +130,7 @@ def test_there_is_no_best_policy_if_all_fail(tmp_path, monkeypatch):
     monkeypatch.setattr(Policy, "crawl", lambda *_args, **_more: outcome(0.5, Failure.TIPPED))
     assert train(config(), tmp_path / "run").history.best is None
     assert TrainedRobot.load(tmp_path / "run", "last").fitness_m == 0.5
-    with pytest.raises(TrainingError, match="contains no best policy"):
+    with pytest.raises(CaterpillarError, match="contains no best policy"):
         TrainedRobot.load(tmp_path / "run")
 
 
@@ -249,14 +249,14 @@ def test_folder_that_cannot_be_written_is_rejected(tmp_path):
     ids=str,
 )
 def test_too_small_budget_is_rejected(tmp_path, fields, message):
-    with pytest.raises(TrainingError, match=message):
+    with pytest.raises(CaterpillarError, match=message):
         train(config(**fields), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
 def test_folder_of_an_older_version_is_rejected(tmp_path):
     (tmp_path / "training.json").write_text("{}")
-    with pytest.raises(TrainingError, match="was written by an older version"):
+    with pytest.raises(CaterpillarError, match="was written by an older version"):
         Training.read(tmp_path)
 
 
@@ -266,5 +266,5 @@ def test_evolutionary_run_is_no_training(trained, tmp_path):
         (text,) = db.execute("SELECT configuration FROM run").fetchone()
         data = {k: v for k, v in json.loads(text).items() if k != "kind"}
         db.execute("UPDATE run SET configuration = ?", [json.dumps(data)])
-    with pytest.raises(TrainingError, match="contains an evolutionary run"):
+    with pytest.raises(CaterpillarError, match="contains an evolutionary run"):
         Training.read(tmp_path)

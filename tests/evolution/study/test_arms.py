@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.robot import Outcomes
 from evolution.config import RunConfig
 from evolution.run.history import History
 from evolution.run.journal import Journal
-from evolution.study.arms import EvolutionArm, StudyError, make_arm, merge
+from evolution.study.arms import EvolutionArm, make_arm, merge
 
 ARM = EvolutionArm(RunConfig(prior="uniform"))
 
@@ -31,7 +32,7 @@ def test_nested_tables_are_merged_and_other_values_replaced():
 
 def test_kind_of_an_arm_must_be_installed():
     assert make_arm({"prior": "uniform"}, {}) == ARM
-    with pytest.raises(StudyError, match="kind = 'magic' must be one of evolution"):
+    with pytest.raises(CaterpillarError, match="kind = 'magic' must be one of evolution"):
         make_arm({"kind": "magic"}, {})
 
 

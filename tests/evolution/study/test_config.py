@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from caterpillar_env.errors import CaterpillarError
-from evolution.study.config import Cell, StudyConfig, StudyError, begin, preset, read_toml
+from evolution.study.config import Cell, StudyConfig, begin, preset, read_toml
 
 SMALL = {
     "seeds": [0, 1],
@@ -97,13 +97,13 @@ def test_arms_and_seeds_can_be_added_to_a_study(tmp_path):
 )
 def test_other_settings_of_an_existing_study_are_rejected(tmp_path, fields, message):
     begin(StudyConfig.from_dict(SMALL), tmp_path)
-    with pytest.raises(StudyError, match=re.escape(message)):
+    with pytest.raises(CaterpillarError, match=re.escape(message)):
         begin(StudyConfig.from_dict(changed(**fields)), tmp_path)
 
 
 def test_folder_with_other_files_is_rejected(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(StudyError, match="is not empty and holds no study"):
+    with pytest.raises(CaterpillarError, match="is not empty and holds no study"):
         begin(StudyConfig.from_dict(SMALL), tmp_path)
 
 

@@ -12,11 +12,11 @@ import numpy as np
 import polars
 import pytest
 
+from caterpillar_env.errors import CaterpillarError
 from evolution import cli
 from evolution.run.database import is_in_use
 from evolution.run.journal import Journal, read_simulated_s
 from evolution.study.analysis import analyse
-from evolution.study.arms import StudyError
 from evolution.study.cells import Processes, RayTasks, run_study
 from evolution.study.config import Cell, StudyConfig, begin, load
 from evolution.study.results import DATA, Run, collect, read_finished, read_runs, read_thresholds
@@ -104,7 +104,7 @@ def test_runs_with_other_settings_are_rejected(finished, tmp_path):
     begin(fewer, tmp_path / "copy")
     other = StudyConfig.from_dict(changed(arms={**arms, "cma-es": {"optimizer": "random"}}))
     begin(other, tmp_path / "copy")
-    with pytest.raises(StudyError, match=r"cma-es/seed-0 was run with other settings"):
+    with pytest.raises(CaterpillarError, match=r"cma-es/seed-0 was run with other settings"):
         collect(other, tmp_path / "copy")
 
 
