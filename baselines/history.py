@@ -34,13 +34,8 @@ class Training(NamedTuple):
         """Read the folder of a training run, even while it is running.
 
         Raises:
-            CaterpillarError: the folder contains no training run, or an older version wrote it.
+            CaterpillarError: the folder contains no training run.
         """
-        if (folder / "training.json").exists():
-            raise CaterpillarError(
-                f"{folder} was written by an older version (training.json), which this version cannot "
-                "read; repeat the training in a different folder"
-            )
         history = History.read(folder)
         data = dict(history.configuration)
         if data.pop("kind", None) != KIND:

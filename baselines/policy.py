@@ -95,17 +95,14 @@ class Policy:
         env: CaterpillarEnv,
         seed: int,
         morphology: Morphology,
-        *,
-        deterministic: bool = True,
         on_interval: OnInterval | None = None,
     ) -> Outcomes:
-        """Run one episode.
+        """Run one episode with the most likely actions.
 
         Args:
             env: environment from `make_env`.
             seed: seed of the episode.
             morphology: body of the robot.
-            deterministic: whether to take the most likely action instead of sampling.
             on_interval: see `CaterpillarEnv`.
         """
         env.on_interval = on_interval
@@ -115,7 +112,7 @@ class Policy:
             batch: Any = observation[None]
             if self.normalizer is not None:
                 batch = self.normalizer.normalize_obs(batch)
-            action, _ = self.actor.predict(batch, deterministic=deterministic)
+            action, _ = self.actor.predict(batch, deterministic=True)
             observation, _, terminated, truncated, _ = env.step(action[0])
             ended = terminated or truncated
         return Outcomes.of(env.crawl.progress())
@@ -157,19 +154,23 @@ class TrainedRobot:
         return cls(policy, config, training.body(evaluation), config.physics, evaluation.distance_m)
 
     def simulate(
-        self, timestep_s: float | None = None, *, seed: int | None = None, **kwargs: Any
+        self,
+        timestep_s: float | None = None,
+        *,
+        on_interval: OnInterval | None = None,
+        seed: int | None = None,
     ) -> Outcomes:
         """Run one episode.
 
         Args:
             timestep_s: timestep of the physics, s; by default that of `physics`.
+            on_interval: see `CaterpillarEnv`.
             seed: seed of the episode; by default the seed of the training run.
-            **kwargs: other arguments of `Policy.crawl`.
         """
         physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
         env = make_env(self.config, physics=physics)
         seed = self.config.seed if seed is None else seed
-        return self.policy.crawl(env, seed, self.morphology, **kwargs)
+        return self.policy.crawl(env, seed, self.morphology, on_interval)
 
     @property
     def digest(self) -> str:

@@ -54,14 +54,12 @@ class CaterpillarVecEnv(VecEnv):
         Raises:
             CaterpillarError: the options differ between rows.
         """
-        seeds = self._seeds if any(seed is not None for seed in self._seeds) else None
         if any(options != self._options[0] for options in self._options):
             raise CaterpillarError(
                 "options must be the same for all rows; pass bodies as a list: "
                 'set_options({"morphology": [...]})'
             )
-        observations, _ = self.vector_env.reset(seed=seeds, options=self._options[0] or None)
-        self.reset_infos = [{} for _ in range(self.num_envs)]
+        observations, _ = self.vector_env.reset(seed=self._seeds, options=self._options[0])
         self._reset_seeds()
         self._reset_options()
         return np.asarray(observations)

@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
 import tyro
-from rich.console import Console
 from rich.table import Table
 
-from baselines import comparison
 from baselines.history import Training
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli
-
-_HEADINGS = ("training", "seeds", "simulated", "untrained", "median best", "lowest", "highest")
+from evolution.run.records import to_outcomes
 
 
 @dataclass(frozen=True)
 class CompareArgs:
-    """Compare training runs: print a table, and plot the learning curves over simulated time."""
+    """Compare training runs in a table. Runs that differ only in the seed share a row."""
 
     folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Folders of training runs. Runs that differ only in the seed share a row."""
-    out: Path = Path("learning.png")
-    """Image file for the learning curves: .png, .svg or .pdf."""
+    """Folders of training runs."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -37,20 +34,53 @@ class CompareArgs:
 
 
 def compare_command(argv: Sequence[str]) -> int:
-    """Compare training runs in a table and a plot of their learning curves."""
+    """Compare training runs in a table."""
     args = cli.parse(CompareArgs, argv, "rl compare")
-    groups = comparison.group([Training.read(folder) for folder in args.folders])
-    rows = [comparison.summarize(name, trainings) for name, trainings in groups.items()]
-    comparison.draw(groups, args.out)
+    rows = summarize([Training.read(folder) for folder in args.folders])
     if args.json:
-        print(json.dumps([row._asdict() for row in rows], indent=2))
-    else:
-        table = Table(box=None, pad_edge=False)
-        for heading in _HEADINGS:
-            table.add_column(heading, justify="left" if heading == "training" else "right")
-        for row in rows:
-            distances = (f"{1000 * distance_m:.1f} mm" for distance_m in row[3:])
-            table.add_row(row.name, str(row.runs), f"{row.simulated_s:,.0f} s", *distances)
-        Console(width=140).print(table)
-    cli.console().print(f"learning curves written to {args.out}")
+        print(json.dumps(rows, indent=2))
+        return 0
+    table = Table("training", "seeds", "simulated", "untrained", "median best", "lowest", "highest")
+    for name, runs, simulated_s, *distances_m in map(dict.values, rows):
+        distances = (f"{1000 * distance_m:.1f} mm" for distance_m in distances_m)
+        table.add_row(name, str(runs), f"{simulated_s:,.0f} s", *distances)
+    cli.print_table(table)
     return 0
+
+
+def summarize(trainings: Sequence[Training]) -> list[dict[str, Any]]:
+    """Summarize each group of training runs that differ only in the seed.
+
+    Distances are those of deterministic policies: untrained ones, and the best one of each run. They are
+    0 for a policy that failed, and for a run without a best policy.
+
+    Raises:
+        CaterpillarError: a training run has no evaluation yet.
+    """
+    groups: dict[str, list[Training]] = {}
+    for training in trainings:
+        if not training.history.evaluations:
+            raise CaterpillarError(
+                f"{training.history.folder} has no evaluation yet; wait for the first one, or remove "
+                "the folder"
+            )
+        groups.setdefault(repr(replace(training.config, seed=0)), []).append(training)
+    rows, titles = [], Counter[str]()
+    for members in groups.values():
+        title = members[0].config.title
+        titles[title] += 1
+        histories = [training.history for training in members]
+        untrained_m = [to_outcomes(history.evaluations[:1]).fitness()[0] for history in histories]
+        best_m = [history.best.distance_m if history.best else 0.0 for history in histories]
+        rows.append(
+            {
+                "name": title if titles[title] == 1 else f"{title} #{titles[title]}",
+                "runs": len(members),
+                "simulated_s": float(np.median([history.simulated_s for history in histories])),
+                "untrained_m": float(np.median(untrained_m)),
+                "median_m": float(np.median(best_m)),
+                "least_m": min(best_m),
+                "most_m": max(best_m),
+            }
+        )
+    return rows

@@ -21,16 +21,14 @@ from evolution.cli.running import film
 
 @dataclass(frozen=True)
 class EvalArgs:
-    """Evaluate a trained policy, optionally with sampled actions or under different conditions."""
+    """Evaluate a trained policy, optionally under different conditions."""
 
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of the training run."""
     which: Literal["best", "last", "random"] = "best"
     """Policy to evaluate: the best one, the last one, or random actions."""
-    stochastic: bool = False
-    """Sample actions as in training, instead of taking the most likely ones."""
     episodes: int = 1
-    """Number of episodes. More than one requires sampled actions."""
+    """Number of episodes with random actions. A policy repeats the same episode."""
     frictions: tuple[float, ...] = ()
     """Friction coefficients to evaluate with; by default that of the training run."""
     mismatch_seeds: tuple[int, ...] = ()
@@ -45,18 +43,13 @@ class EvalArgs:
     def __post_init__(self) -> None:
         if self.episodes < 1:
             raise CaterpillarError(f"episodes = {self.episodes} must be at least 1")
-        if self.video and self.samples_actions:
-            raise CaterpillarError("--video cannot be combined with --stochastic or --which random")
-        if self.episodes > 1 and not self.samples_actions:
+        if self.video and self.which == "random":
+            raise CaterpillarError("--video cannot be combined with --which random")
+        if self.episodes > 1 and self.which != "random":
             raise CaterpillarError(
-                f"episodes = {self.episodes} would all be equal, because the most likely actions are "
-                "deterministic; add --stochastic, or remove --episodes"
+                f"episodes = {self.episodes} of a policy would all be equal; remove --episodes, or add "
+                "--which random"
             )
-
-    @property
-    def samples_actions(self) -> bool:
-        """Whether actions are sampled."""
-        return self.stochastic or self.which == "random"
 
 
 def eval_command(argv: Sequence[str]) -> int:
@@ -75,9 +68,7 @@ def eval_command(argv: Sequence[str]) -> int:
     ]
     rows: list[dict[str, Any]] = []
     for variant, episode in product(robots, range(args.episodes)):
-        outcome = variant.simulate(
-            args.timestep_s, seed=seed + episode, deterministic=not args.samples_actions
-        )
+        outcome = variant.simulate(args.timestep_s, seed=seed + episode)
         rows.append(
             {
                 "friction": variant.physics.friction,

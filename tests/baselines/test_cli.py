@@ -66,12 +66,11 @@ def test_eval_combines_frictions_and_mismatch_seeds(folder, capsys):
     assert len({r["distance_m"] for r in rows}) == 6
 
 
-def test_episodes_with_sampled_actions_differ(folder, capsys):
-    for flags in (["--which", "random"], ["--which", "last", "--stochastic"]):
-        assert cli.main(["rl", "eval", str(folder), *flags, "--episodes", "3"]) == 0
-        *rows, summary = capsys.readouterr().out.splitlines()
-        assert len({row.split(" mm")[0] for row in rows}) > 1  # in tenths of a millimetre
-        assert summary.startswith("median ")
+def test_episodes_with_random_actions_differ(folder, capsys):
+    assert cli.main(["rl", "eval", str(folder), "--which", "random", "--episodes", "3"]) == 0
+    *rows, summary = capsys.readouterr().out.splitlines()
+    assert len({row.split(" mm")[0] for row in rows}) > 1  # in tenths of a millimetre
+    assert summary.startswith("median ")
 
 
 def test_train_without_a_best_policy_writes_no_video(tmp_path, capsys):
@@ -83,14 +82,12 @@ def test_train_without_a_best_policy_writes_no_video(tmp_path, capsys):
     assert "--which last" in capsys.readouterr().err
 
 
-def test_compare_prints_a_table_and_plots_curves(folder, tmp_path, capsys):
-    flags = ["--out", str(tmp_path / "x.png")]
-    assert cli.main(["rl", "compare", str(folder), *flags]) == 0
+def test_compare_prints_a_table(folder, capsys):
+    assert cli.main(["rl", "compare", str(folder)]) == 0
     assert "ppo timing" in capsys.readouterr().out
-    assert cli.main(["rl", "compare", str(folder), *flags, "--json"]) == 0
+    assert cli.main(["rl", "compare", str(folder), "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
     assert row["runs"] == 1
-    assert (tmp_path / "x.png").exists()
 
 
 @pytest.mark.parametrize(
@@ -115,7 +112,7 @@ def test_errors_take_one_line(arguments, message, capsys):
 
 def test_eval_rejects_equal_episodes(folder, capsys):
     assert cli.main(["rl", "eval", str(folder), "--episodes", "2"]) == 2
-    assert "add --stochastic" in capsys.readouterr().err
+    assert "add --which random" in capsys.readouterr().err
 
 
 def test_help_lists_the_commands(capsys):

@@ -254,12 +254,6 @@ def test_too_small_budget_is_rejected(tmp_path, fields, message):
     assert not (tmp_path / "run").exists()
 
 
-def test_folder_of_an_older_version_is_rejected(tmp_path):
-    (tmp_path / "training.json").write_text("{}")
-    with pytest.raises(CaterpillarError, match="was written by an older version"):
-        Training.read(tmp_path)
-
-
 def test_evolutionary_run_is_no_training(trained, tmp_path):
     (tmp_path / "journal.sqlite").write_bytes((trained[0] / "journal.sqlite").read_bytes())
     with sqlite3.connect(tmp_path / "journal.sqlite") as db:

@@ -1,10 +1,9 @@
-"""Grouping, summaries and learning curves of training runs."""
+"""Groups and summaries of training runs."""
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
-from baselines import comparison
+from baselines.cli.compare import summarize
 from baselines.config import TrainConfig
 from baselines.history import Training, make_configuration
 from caterpillar_env.errors import CaterpillarError
@@ -42,42 +41,24 @@ def trainings(tmp_path):
 
 
 def test_trainings_that_differ_only_in_the_seed_form_a_group(trainings):
-    groups = comparison.group(trainings)
-    assert groups == {"ppo switch": trainings[:2], "ppo timing": trainings[2:]}
+    rows = summarize(trainings)
+    assert [(row["name"], row["runs"]) for row in rows] == [("ppo switch", 2), ("ppo timing", 1)]
 
 
 def test_groups_with_the_same_title_get_numbers(tmp_path):
     one = record(tmp_path / "a", [(0.0, OK)], budget_s=1000.0)
     two = record(tmp_path / "b", [(0.0, OK)], budget_s=2000.0)
-    assert comparison.group([one, two]) == {"ppo switch": [one], "ppo switch #2": [two]}
+    assert [row["name"] for row in summarize([one, two])] == ["ppo switch", "ppo switch #2"]
 
 
 def test_summary_is_of_the_best_policies_and_the_untrained_ones(trainings):
-    row = comparison.summarize("x", trainings[:2])
-    assert (row.runs, row.simulated_s) == (2, 250.0)
-    assert (row.least_m, row.median_m, row.most_m) == (0.02, pytest.approx(0.035), 0.05)
-    assert row.untrained_m == pytest.approx((0.001 + 0.0) / 2)  # a failure counts as 0
-    assert comparison.summarize("x", trainings[2:]).median_m == 0.0  # no policy crawled forwards
-
-
-def test_learning_curves_show_failures_as_zero(trainings, tmp_path, monkeypatch):
-    figures, save = [], Figure.savefig
-    monkeypatch.setattr(
-        Figure, "savefig", lambda self, *a, **k: (figures.append(self), save(self, *a, **k))
-    )
-    comparison.draw(comparison.group(trainings), tmp_path / "x.png")
-    assert (tmp_path / "x.png").stat().st_size > 10_000
-    curves = [curve.get_xydata().tolist() for curve in figures[0].axes[0].lines]  # 1000 s, mm
-    assert curves == [
-        [[0.1, 1], [0.2, 50], [pytest.approx(0.3), 0]], [[0.1, 0], [0.2, 20]], [[0.1, -10]],
-    ]  # fmt: skip
-
-
-def test_unwritable_file_is_rejected(tmp_path):
-    with pytest.raises(CaterpillarError, match="--out"):
-        comparison.draw({}, tmp_path / "nowhere" / "x.png")
+    row, other = summarize(trainings)
+    assert row["simulated_s"] == 250.0
+    assert (row["least_m"], row["median_m"], row["most_m"]) == (0.02, pytest.approx(0.035), 0.05)
+    assert row["untrained_m"] == pytest.approx((0.001 + 0.0) / 2)  # a failure counts as 0
+    assert other["median_m"] == 0.0  # no policy crawled forwards
 
 
 def test_training_without_evaluations_is_rejected(tmp_path):
     with pytest.raises(CaterpillarError, match="has no evaluation yet"):
-        comparison.summarize("x", [record(tmp_path / "a", [])])
+        summarize([record(tmp_path / "a", [])])
