@@ -9,46 +9,32 @@ from dataclasses import replace
 from typing import Any
 
 import mujoco
+import numpy as np
 
-from benchmarks.harness import report, rounds, spread, timed
+from benchmarks.harness import Step, report, spread, time_steps
+from benchmarks.recorder import EngineCalls, record_calls
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import Crawl
-from caterpillar_env.validation.convergence import SETTINGS
-from caterpillar_env.validation.recorder import EngineCalls, record_calls
 from caterpillar_env.validation.robots import evolved_robots, stack_power
 
-#: Settings of `convergence.SETTINGS` to compare.
-COMPARED = (
-    "CG", "pyramidal cone", "tolerance 1e-6", "tolerance 1e-10", "implicitfast", "timestep 5 ms",
-    "timestep 10 ms",
-)  # fmt: skip
+STEPS = 10  #: parts of the gait period; the settings take turns after each
 
 
 def record_period(**changes: Any) -> EngineCalls:
     """Record the engine calls in one gait period of eight evolved robots."""
-    physics = replace(Physics(), **changes)
     bodies, power = stack_power(evolved_robots(8))
-    crawl = Crawl(bodies, physics)
-    with record_calls(crawl.simulation) as calls:
-        crawl.run(power)
-    return calls
+    crawl = Crawl(bodies, replace(Physics(), **changes))
+    parts = np.split(power, STEPS, axis=1)
+    return record_calls(crawl.simulation, lambda number: crawl.run(parts[number]), STEPS)
 
 
-def cost(
-    calls: EngineCalls, edit: Callable[[mujoco.MjModel], None] | None = None
-) -> Callable[[], float]:
-    """Return a function that times a step of the edited models, s."""
-    if edit is not None:
-        calls = copy.copy(calls)
-        calls.models = [copy.copy(model) for model in calls.models]
-        for model in calls.models:
+def edit_models(calls: EngineCalls, *edits: Callable[[mujoco.MjModel], None]) -> EngineCalls:
+    """Return the same calls for edited copies of the models."""
+    models = [copy.copy(model) for model in calls.models]
+    for model in models:
+        for edit in edits:
             edit(model)
-
-    def run() -> float:
-        batch = calls.make_batch(threads=1)
-        return timed(lambda: calls.repeat(batch)) / calls.steps
-
-    return run
+    return replace(calls, models=models)
 
 
 def undo_trimming(model: mujoco.MjModel) -> None:
@@ -73,36 +59,39 @@ def switch(*flags: str, on: bool) -> Callable[[mujoco.MjModel], None]:
     return edit
 
 
-def undo_savings(model: mujoco.MjModel) -> None:
-    """Undo all optimizations of the engine step except the choice of solver."""
-    undo_trimming(model)
-    switch("island", "midphase", on=True)(model)
-
-
 def main() -> None:
     """Run the benchmark and print its table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=7)
     args = parser.parse_args()
-    settings: dict[str, dict[str, Any]] = {"as it is": {}} | {name: SETTINGS[name] for name in COMPARED}
-    as_it_is = record_period()
-    cases = {name: cost(record_period(**changes)) for name, changes in settings.items()}
-    cases |= {
-        "islands and midphase on": cost(as_it_is, switch("island", "midphase", on=True)),
-        "springs' Jacobians not trimmed": cost(as_it_is, undo_trimming),
-        "all three: CG, none of these savings": cost(record_period(solver="cg"), undo_savings),
-        "without contacts": cost(as_it_is, switch("contact", on=False)),
-        "without contacts and joint limits": cost(as_it_is, switch("constraint", on=False)),
-        "and without springs": cost(as_it_is, switch("constraint", "actuation", on=False)),
+    default, cg = record_period(), record_period(solver="cg")
+    searches = switch("island", "midphase", on=True)
+    cases = {
+        "default": default,
+        "islands and midphase on": edit_models(default, searches),
+        "springs' Jacobians not trimmed": edit_models(default, undo_trimming),
+        "conjugate gradients instead of Newton": cg,
+        "all three": edit_models(cg, searches, undo_trimming),
+        "without contacts": edit_models(default, switch("contact", on=False)),
+        "without contacts and joint limits": edit_models(default, switch("constraint", on=False)),
+        "without contacts, joint limits and springs": edit_models(
+            default, switch("constraint", "actuation", on=False)
+        ),
+        "timestep 5 ms": record_period(timestep_s=0.005),
     }
-    costs = rounds(cases, args.repeats)
+
+    def begin(calls: EngineCalls) -> Callable[[], Step]:
+        return lambda: calls.begin(threads=1)
+
+    seconds = time_steps({name: begin(calls) for name, calls in cases.items()}, STEPS, args.repeats)
+    costs = {name: seconds[name] * STEPS / calls.physics_steps for name, calls in cases.items()}
     rows = [
         {
             "setting": name,
-            "us per step": spread(1e6 * values),
-            "over as it is": spread(values / costs["as it is"]),
+            "us per step": spread(1e6 * cost),
+            "relative to the default": spread(cost / costs["default"]),
         }
-        for name, values in costs.items()
+        for name, cost in costs.items()
     ]
     report("cost of a physics step", rows)
 

@@ -6,9 +6,9 @@ One reference uses the default integrator. The independent one uses the fourth-o
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -33,50 +33,43 @@ SPREAD = 10  #: number of evolved robots whose intrinsic spread is measured
 INDEPENDENT = 12  #: number of evolved robots for the independent reference, which is ten times slower
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Outcomes of robots with the default settings and with the reference settings."""
+class Pair(NamedTuple):
+    """Outcomes of the same robots with two settings."""
 
-    default: Outcomes
+    ours: Outcomes
     reference: Outcomes
-    evolved: NDArray[np.bool_]  #: True for evolved robots, False for random ones
-    #: Reference distance changes of the first `SPREAD` evolved robots if the start moves by 1 um.
-    spread_m: Array
-    independent: Outcomes | None = None  #: Runge-Kutta results of the first evolved robots
-
-    def agreement(self, evolved: bool) -> float:
-        """Return the share of robots that fail in both simulations or in neither."""
-        who = self.evolved == evolved
-        failed = [o.failure[who] != Failure.NONE for o in (self.default, self.reference)]
-        return float((failed[0] == failed[1]).mean())
 
     @property
-    def healthy(self) -> NDArray[np.bool_]:
-        """True for robots that fail in neither simulation."""
-        failures = self.default.failure | self.reference.failure
-        healthy: NDArray[np.bool_] = failures == Failure.NONE
-        return healthy
+    def failed(self) -> NDArray[np.bool_]:
+        """Whether each robot fails in each simulation, (2, robots)."""
+        return np.stack([outcomes.failure != Failure.NONE for outcomes in self])
 
-    def errors(self) -> Array:
-        """Return the relative distance errors of healthy evolved robots."""
-        who = self.healthy & self.evolved
-        fine = self.reference.distance_m[who]
-        return np.abs(self.default.distance_m[who] - fine) / np.abs(fine)
+    def agreement(self) -> float:
+        """Return the share of robots that fail in both simulations or in neither."""
+        return float((self.failed[0] == self.failed[1]).mean())
 
-    def independent_errors(self) -> Array:
-        """Return the relative distance errors with respect to the independent reference."""
-        assert self.independent is not None
-        exact = self.independent.distance_m
-        ours = self.default.distance_m[self.evolved][: len(exact)]
-        healthy = self.healthy[self.evolved][: len(exact)] & (self.independent.failure == Failure.NONE)
-        errors: Array = (np.abs(ours - exact) / np.abs(exact))[healthy]
-        return errors
+    def distances_m(self) -> Array:
+        """Return the distances of the robots that fail in neither simulation, (2, robots)."""
+        return np.stack([outcomes.distance_m for outcomes in self])[:, ~self.failed.any(axis=0)]
 
-    def rank_correlation(self) -> float:
-        """Return Spearman's rank correlation of the distances of all healthy robots."""
-        who = self.healthy
-        pair = (self.default.distance_m[who], self.reference.distance_m[who])
-        return float(spearmanr(*pair).statistic)
+    def median_error(self) -> float:
+        """Return the median relative error of the distance of robots that fail in neither."""
+        ours_m, reference_m = self.distances_m()
+        return float(np.median(np.abs(ours_m - reference_m) / np.abs(reference_m)))
+
+
+def rank_correlation(*pairs: Pair) -> float:
+    """Return Spearman's rank correlation of the distances of robots that fail in neither."""
+    return float(spearmanr(*np.hstack([pair.distances_m() for pair in pairs])).statistic)
+
+
+class Comparison(NamedTuple):
+    """Outcomes of random and evolved robots."""
+
+    random: Pair
+    evolved: Pair
+    independent: Pair  #: the first evolved robots, against Runge-Kutta
+    nudged: Pair  #: the first evolved robots with the reference settings, from a start moved by 1 um
 
 
 def compare(*, quick: bool) -> Comparison:
@@ -84,35 +77,44 @@ def compare(*, quick: bool) -> Comparison:
     physics, duration_s = Physics(), 10.0 if quick else EPISODE_S
     fine = replace(physics, timestep_s=0.001 if quick else 0.00025)
     exact = replace(fine, integrator="rk4", timestep_s=0.0005 if quick else 0.00025)
+    robots = random_robots(32 if quick else 100, 3, physics)
     evolved = farthest_robots(8) if quick else evolved_robots()
-    robots = [*random_robots(32 if quick else 100, 3, physics), *evolved]
-    is_evolved = np.arange(len(robots)) >= len(robots) - len(evolved)
-    coarse_run, fine_run = (
-        simulate(*stack_robots(robots), p, duration_s=duration_s) for p in (physics, fine)
+    random_pair, evolved_pair = (
+        Pair(*(simulate(*stack_robots(group), p, duration_s=duration_s) for p in (physics, fine)))
+        for group in (robots, evolved)
     )
+    few = evolved[: 4 if quick else INDEPENDENT]
+    independent = simulate(*stack_robots(few), exact, duration_s=duration_s)
     nudged = crawl_for(duration_s, *stack_power(evolved[:SPREAD]), fine, offset_m=1e-6).progress()
-    few = stack_robots(evolved[: 4 if quick else INDEPENDENT])
-    spread_m = np.abs(nudged.distance_m - fine_run.distance_m[is_evolved][:SPREAD])
-    independent = simulate(*few, exact, duration_s=duration_s)
-    return Comparison(coarse_run, fine_run, is_evolved, spread_m, independent)
+    return Comparison(
+        random_pair,
+        evolved_pair,
+        Pair(_first(evolved_pair.ours, len(few)), independent),
+        Pair(Outcomes.of(nudged), _first(evolved_pair.reference, SPREAD)),
+    )
+
+
+def _first(outcomes: Outcomes, count: int) -> Outcomes:
+    return Outcomes._make(values[:count] for values in outcomes)
 
 
 def check_timestep(result: Comparison) -> list[Check]:
     """Check failure agreement, rank correlation and distance errors."""
-    errors = result.errors()
-    fine = np.abs(result.reference.distance_m[result.evolved][: len(result.spread_m)])
-    spread = float(np.median(result.spread_m / fine))
+    spread = result.nudged.median_error()
     return [
-        check_at_least("agreement of failures, random robots", 0.95, result.agreement(False), ""),
-        check_at_least("agreement of failures, evolved robots", 0.95, result.agreement(True), ""),
-        check_at_least("rank correlation of distances, all robots", 0.95, result.rank_correlation(), ""),
+        check_at_least("agreement of failures, random robots", 0.95, result.random.agreement(), ""),
+        check_at_least("agreement of failures, evolved robots", 0.95, result.evolved.agreement(), ""),
+        check_at_least(
+            "rank correlation of distances, all robots",
+            0.95, rank_correlation(result.random, result.evolved), "",
+        ),
         check_at_most(
             f"median relative error of evolved distances (from a start moved by 1 um: {spread:.4f})",
-            0.05, float(np.median(errors)), "",
+            0.05, result.evolved.median_error(), "",
         ),
         check_at_most(
             "median relative error of evolved distances, against Runge-Kutta",
-            0.05, float(np.median(result.independent_errors())), "",
+            0.05, result.independent.median_error(), "",
         ),
     ]  # fmt: skip
 
@@ -121,20 +123,21 @@ def plot(result: Comparison, path: Path) -> None:
     """Plot default against reference distances, and the distributions of errors and spread."""
     figure = Figure(figsize=(10, 4.5), layout="constrained")
     left, right = figure.subplots(1, 2)
-    fine, coarse = 1000 * result.reference.distance_m, 1000 * result.default.distance_m
-    for who, colour, word in (
-        (result.healthy & ~result.evolved, "tab:blue", "random"),
-        (result.healthy & result.evolved, "tab:red", "evolved"),
+    for pair, colour, word in (
+        (result.random, "tab:blue", "random"),
+        (result.evolved, "tab:red", "evolved"),
     ):
-        left.plot(fine[who], coarse[who], ".", color=colour, label=word)
+        coarse, fine = 1000 * pair.distances_m()
+        left.plot(fine, coarse, ".", color=colour, label=word)
     left.axline((0, 0), slope=1, color="black", linewidth=0.7)
     left.set(xlabel="distance at the reference (mm)", ylabel="distance at the default timestep (mm)")
-    errors = np.sort(np.abs(coarse - fine)[result.healthy & result.evolved])
-    spread = np.sort(1000 * result.spread_m)
-    right.step(np.maximum(errors, 1e-4), np.linspace(0, 1, len(errors)), label="default timestep")
-    right.step(
-        np.maximum(spread, 1e-4), np.linspace(0, 1, len(spread)), label="1 um change of the start"
-    )
+    for pair, word in (
+        (result.evolved, "default timestep"),
+        (result.nudged, "1 um change of the start"),
+    ):
+        ours, reference = 1000 * pair.distances_m()
+        errors = np.sort(np.abs(ours - reference))
+        right.step(np.maximum(errors, 1e-4), np.linspace(0, 1, len(errors)), label=word)
     right.set(xlabel="difference from the reference (mm), evolved robots", ylabel="share of robots")
     right.set_xscale("log")
     for axis in (left, right):
@@ -187,14 +190,14 @@ def compare_settings(count: int = 16, duration_s: float = EPISODE_S) -> list[dic
         started = time.perf_counter()
         coarse = simulate(*robots, replace(Physics(), **changes), threads=1, duration_s=duration_s)
         wall_s = time.perf_counter() - started
-        result = Comparison(coarse, references[key], np.ones(count, dtype=bool), np.zeros(count))
+        pair = Pair(coarse, references[key])
         rows.append(
             {
                 "setting": name,
                 "cost_us_per_ms": 1e3 * wall_s / float(coarse.simulated_s.sum()),
-                "median_error": float(np.median(result.errors())),
-                "rank_correlation": result.rank_correlation(),
-                "failure_agreement": result.agreement(True),
+                "median_error": pair.median_error(),
+                "rank_correlation": rank_correlation(pair),
+                "failure_agreement": pair.agreement(),
             }
         )
     return rows

@@ -18,7 +18,6 @@ from caterpillar_env.physics import GRAVITY_M_S2, SMA_STEP_S
 from caterpillar_env.robot import Robot
 from caterpillar_env.task import EPISODE_S, Crawl
 from caterpillar_env.validation.check import Check, check_at_most
-from caterpillar_env.validation.recorder import record_calls
 
 
 class Gait(NamedTuple):
@@ -44,49 +43,41 @@ def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
     physics, period_s = robot.physics, robot.timings.period_s
     periods = max(1, int(duration_s / period_s + 1e-9))
     crawl = Crawl([robot.morphology], physics, threads=1, stop_on_failure=False)
-    power = robot.timings.of_springs(physics.num_springs).power(SMA_STEP_S)[None]
-    with record_calls(crawl.simulation) as calls:
-        for _ in range(periods):
-            crawl.run(power)
+    power = np.tile(robot.timings.of_springs(physics.num_springs).power(SMA_STEP_S), (1, periods, 1))
+    model = crawl.simulation.models[0]
+    qpos, com_m, slip_m, body_load, overrun = _replay(model, crawl.simulation.heat(power).control[0])
+    crawl.run(power)
     end = crawl.progress()
-    path = _replay(calls.models[0], np.concatenate([call["control"][0] for _, call in calls.calls]))
-    if not np.array_equal(path.qpos, crawl.simulation.qpos(0)):
+    if not np.array_equal(qpos, crawl.simulation.qpos(0)):
         raise AssertionError("the plain loop does not reproduce the simulation; please report this")
 
-    per_step = round(SMA_STEP_S / physics.timestep_s)
-    com = path.com_m[::per_step]  # every thermal step
-    steps = np.diff(com, axis=0)
+    steps = np.diff(com_m[:: round(SMA_STEP_S / physics.timestep_s)], axis=0)  # of each thermal step
     distance_m = float(end.distance_m[0])
     folded = steps[:, 0].reshape(periods, -1).sum(axis=0)
     window = len(folded) // 10
     circular = np.concatenate([folded, folded[: window - 1]])
     tenths = np.convolve(circular, np.ones(window), mode="valid")
-    weight_n = GRAVITY_M_S2 * float(calls.models[0].body_mass.sum())
+    weight_n = GRAVITY_M_S2 * float(model.body_mass.sum())
     body_m = length_m(segments_of(robot.morphology, physics.num_segments))
     return Gait(
         distance_m=distance_m,
         best_tenth=float(tenths.max()) / distance_m,
         peak_speed_m_s=float(np.linalg.norm(steps, axis=1).max()) / SMA_STEP_S,
-        slip=path.slip_m / distance_m,
-        body_load=path.body_load,
-        overrun=path.overrun,
+        slip=slip_m / distance_m,
+        body_load=body_load,
+        overrun=overrun,
         cost_of_transport=float(end.energy_j[0]) / (weight_n * distance_m),
         body_lengths_s=distance_m / body_m / (periods * period_s),
     )
 
 
-class _Path(NamedTuple):
-    """Measurements of the plain loop; see `Gait`."""
+def _replay(model: mujoco.MjModel, control: Array) -> tuple[Array, Array, float, float, float]:
+    """Step `model` from its initial state with `control` (K, springs).
 
-    qpos: Array  #: final pose, (nq,)
-    com_m: Array  #: centre of mass before each step and after the last, (K + 1, 3)
-    slip_m: float
-    body_load: float
-    overrun: float
-
-
-def _replay(model: mujoco.MjModel, control: Array) -> _Path:
-    """Step `model` from its initial state with `control` (K, springs)."""
+    Returns:
+        The final positions, the centre of mass before each step and after the last, m, (K + 1, 3), and
+        the sliding distance of the feet, the load share of the body, and the overrun; see `Gait`.
+    """
     data = mujoco.MjData(model)
     is_skin = model.geom_conaffinity == SKIN
     limits = model.jnt_range[1:, 1]
@@ -111,12 +102,7 @@ def _replay(model: mujoco.MjModel, control: Array) -> _Path:
             slip_m += float(feet_n @ speed / total_n) * model.opt.timestep
     mujoco.mj_forward(model, data)
     com_m[-1] = data.subtree_com[1]
-    return _Path(data.qpos.copy(), com_m, slip_m, float(skin_n / all_n), max(overrun, 0.0))
-
-
-def measure_gaits(robots: Sequence[Robot], *, quick: bool) -> list[Gait]:
-    """Measure the gaits of robots in an episode, or in a third of an episode if `quick`."""
-    return [measure_gait(robot, EPISODE_S / 3 if quick else EPISODE_S) for robot in robots]
+    return data.qpos.copy(), com_m, slip_m, float(skin_n / all_n), max(overrun, 0.0)
 
 
 def check_gaits(gaits: Sequence[Gait]) -> list[Check]:

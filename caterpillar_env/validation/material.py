@@ -16,8 +16,6 @@ from caterpillar_env.physics import GRAVITY_M_S2
 from caterpillar_env.sma import SmaSpring, SmaState, SmaStep, advance, spring_force
 from caterpillar_env.validation.check import Check, check_at_most, check_near
 
-_ONE = (1,)
-
 
 def check_closed_forms() -> list[Check]:
     """Check heating, pulses, stroke, hysteresis and energy of one spring against closed forms."""
@@ -32,9 +30,12 @@ def check_closed_forms() -> list[Check]:
     ]
 
 
-def _run(spring: SmaSpring, power: Array, step_s: float, state: SmaState | None = None) -> SmaStep:
-    """Simulate one spring under a power history (K,)."""
-    return advance(spring, state or SmaState.cold(spring, _ONE), power[:, None], step_s)
+def _run(
+    spring: SmaSpring, power: float, steps: int, step_s: float = 1e-3, state: SmaState | None = None
+) -> SmaStep:
+    """Simulate one spring with constant power from `state`, by default cold."""
+    start = state or SmaState.cold(spring, (1,))
+    return advance(spring, start, np.full((steps, 1), power), step_s)
 
 
 def _temperature(spring: SmaSpring, step: SmaStep) -> Array:
@@ -42,21 +43,21 @@ def _temperature(spring: SmaSpring, step: SmaStep) -> Array:
     return SmaState(step.enthalpy_j_kg, step.fraction).temperature_c(spring)[:, 0]
 
 
+def _state(step: SmaStep, index: int) -> SmaState:
+    return SmaState(step.enthalpy_j_kg[index], step.fraction[index])
+
+
 def _first_order_heating() -> list[Check]:
     # T = T_amb + I^2 R' / (h s pi d) (1 - exp(-t / tau)), far below As.
     spring = replace(SmaSpring(), drive_current_a=0.1)
     rise = spring.heating_w_kg / spring.cooling_w_kg_k
-    tau = spring.time_constant_s
     checks = []
     for taus in (0.5, 1.0, 3.0):
-        steps = round(taus * tau / 0.01)
-        got = _temperature(spring, _run(spring, np.ones(steps), 0.01))[-1]
-        expected = spring.ambient_c + rise * -math.expm1(-steps * 0.01 / tau)
-        checks.append(
-            check_near(
-                f"heating without transformation, t = {taus:g} tau", expected, got, "degC", rel=1e-9
-            )
-        )
+        steps = round(taus * spring.time_constant_s / 0.01)
+        got = _temperature(spring, _run(spring, 1.0, steps, 0.01))[-1]
+        expected = spring.ambient_c + rise * -math.expm1(-steps * 0.01 / spring.time_constant_s)
+        name = f"heating without transformation, t = {taus:g} tau"
+        checks.append(check_near(name, expected, got, "degC", rel=1e-9))
     return checks
 
 
@@ -69,8 +70,8 @@ def _minimum_current() -> Check:
 
     def excess(current_a: float) -> float:
         tried = replace(spring, drive_current_a=current_a)
-        reached = _temperature(tried, _run(tried, np.ones(2000), 0.04))[-1]
-        return float(reached) - spring.austenite_finish_c
+        reached_c = _temperature(tried, _run(tried, 1.0, 2000, 0.04))[-1]
+        return float(reached_c) - spring.austenite_finish_c
 
     got = float(brentq(excess, 0.5 * expected, 1.5 * expected, xtol=1e-6))
     return check_near("minimum current that completes the transformation", expected, got, "A", rel=1e-3)
@@ -80,8 +81,8 @@ def _adiabatic_pulse() -> Check:
     spring = replace(SmaSpring(), convection_w_m2_k=1e-6)
     sensible = spring.specific_heat_j_kg_k * (spring.austenite_finish_c - spring.ambient_c)
     expected = (sensible + spring.latent_heat_j_kg) / spring.heating_w_kg
-    step = _run(spring, np.ones(2000), 5e-4)
-    got = float((np.argmax(step.fraction[:, 0] >= 1.0) + 1) * 5e-4)
+    fraction = _run(spring, 1.0, 2000, 5e-4).fraction
+    got = float((np.argmax(fraction >= 1.0) + 1) * 5e-4)
     return check_near("adiabatic pulse, m' (c dT + L) / (I^2 R')", expected, got, "s", abs_=5e-4)
 
 
@@ -103,41 +104,38 @@ def _isotonic_stroke() -> Check:
 
 def _branch_midpoints() -> list[Check]:
     spring = SmaSpring()
-    up = _run(spring, np.ones(2000), 1e-3)
-    hot = SmaState(up.enthalpy_j_kg[-1], up.fraction[-1])
-    down = _run(spring, np.zeros(6000), 1e-3, hot)
-    middle_up = (spring.austenite_start_c + spring.austenite_finish_c) / 2
-    middle_down = (spring.martensite_start_c + spring.martensite_finish_c) / 2
+    up = _run(spring, 1.0, 2000)
+    down = _run(spring, 0.0, 6000, state=up.state)
     checks = []
-    for word, step, expected in (("heating", up, middle_up), ("cooling", down, middle_down)):
+    for word, step, low_c, high_c in (
+        ("heating", up, spring.austenite_start_c, spring.austenite_finish_c),
+        ("cooling", down, spring.martensite_finish_c, spring.martensite_start_c),
+    ):
         fraction = step.fraction[:, 0]
         inside = np.flatnonzero((fraction > 0.01) & (fraction < 0.99))
         rising = inside[np.argsort(fraction[inside])]
         got = float(np.interp(0.5, fraction[rising], _temperature(spring, step)[rising]))
         name = f"temperature at half austenite on {word}"
-        checks.append(check_near(name, expected, got, "degC", abs_=0.01))
+        checks.append(check_near(name, (low_c + high_c) / 2, got, "degC", abs_=0.01))
     return checks
 
 
 def _partial_loops() -> list[Check]:
     spring = SmaSpring()
-    up = _run(spring, np.ones(2000), 1e-3)
-    turn = int(np.argmax(up.fraction[:, 0] >= 0.6))
-    state = SmaState(up.enthalpy_j_kg[turn], up.fraction[turn])
+    up = _run(spring, 1.0, 2000)
+    turn = int(np.argmax(up.fraction >= 0.6))
     peak_c, peak_xi = float(_temperature(spring, up)[turn]), float(up.fraction[turn, 0])
     # Cool until the fraction has fallen by 0.2, then heat to the temperature where the loop began.
-    down = _run(spring, np.zeros(6000), 1e-3, state)
-    fell = int(np.argmax(down.fraction[:, 0] <= peak_xi - 0.2))
-    frozen = _temperature(spring, down) > spring.martensite_start_c
-    low = SmaState(down.enthalpy_j_kg[fell], down.fraction[fell])
-    again = _run(spring, np.ones(500), 1e-3, low)
+    down = _run(spring, 0.0, 6000, state=_state(up, turn))
+    low = _state(down, int(np.argmax(down.fraction <= peak_xi - 0.2)))
+    again = _run(spring, 1.0, 500, state=low)
     back = float(np.interp(peak_c, _temperature(spring, again), again.fraction[:, 0]))
-    drift = float(np.abs(down.fraction[frozen, 0] - peak_xi).max())
+    frozen = down.fraction[_temperature(spring, down) > spring.martensite_start_c]
+    drift = float(np.abs(frozen - peak_xi).max())
+    name = "fraction where a partial loop closes (return-point memory)"
     return [
         check_at_most("change of the fraction between reversal and Ms", 0.0, drift, ""),
-        check_near(
-            "fraction where a partial loop closes (return-point memory)", peak_xi, back, "", abs_=1e-3
-        ),
+        check_near(name, peak_xi, back, "", abs_=1e-3),
     ]
 
 
@@ -218,12 +216,12 @@ def straight_wire(row: WireRow, *, high_temperature: bool) -> SmaSpring:
 def transformation_times_s(spring: SmaSpring) -> tuple[float, float]:
     """Return the heating time from ambient to 90 % austenite and the cooling time from Af to 10 %, s."""
     step_s = 0.005
-    heating = _run(spring, np.ones(400), step_s)
     hot = SmaState.at(spring, np.array([spring.austenite_finish_c]), np.ones(1))
-    cooling = _run(spring, np.zeros(4000), step_s, hot)
+    heating = _run(spring, 1.0, 400, step_s).fraction
+    cooling = _run(spring, 0.0, 4000, step_s, hot).fraction
     return (
-        float((np.argmax(heating.fraction[:, 0] >= 0.9) + 1) * step_s),
-        float((np.argmax(cooling.fraction[:, 0] <= 0.1) + 1) * step_s),
+        float((np.argmax(heating >= 0.9) + 1) * step_s),
+        float((np.argmax(cooling <= 0.1) + 1) * step_s),
     )
 
 
@@ -260,10 +258,10 @@ def plot(path: Path) -> None:
     left.set(xlabel="wire diameter (mm)", ylabel="time to cool by 90 % (s)")
     middle.set(xlabel="wire diameter (mm)", ylabel="time to heat by 90 % (s)", ylim=(0, 1.5))
     spring = SmaSpring()
-    up = _run(spring, np.ones(3000), 1e-3)
-    down = _run(spring, np.zeros(6000), 1e-3, SmaState(up.enthalpy_j_kg[-1], up.fraction[-1]))
-    right.plot(_temperature(spring, up), up.fraction[:, 0], color="tab:red", label="heating")
-    right.plot(_temperature(spring, down), down.fraction[:, 0], color="tab:blue", label="cooling")
+    up = _run(spring, 1.0, 3000)
+    down = _run(spring, 0.0, 6000, state=up.state)
+    for word, step, colour in (("heating", up, "tab:red"), ("cooling", down, "tab:blue")):
+        right.plot(_temperature(spring, step), step.fraction, color=colour, label=word)
     right.set(xlabel="temperature (degC)", ylabel="austenite fraction")
     for axis in (left, middle, right):
         axis.legend(fontsize="small")

@@ -27,8 +27,6 @@ from caterpillar_env.validation.check import (
 )
 from caterpillar_env.validation.robots import crawl_for, random_robots, stack_power, stack_robots
 
-_FREE = 6  # degrees of freedom of the head
-
 
 def check_statics() -> list[Check]:
     """Check spring forces, deflections, weight, free fall and friction."""
@@ -40,15 +38,17 @@ def _nominal_robot(physics: Physics) -> tuple[mujoco.MjModel, mujoco.MjData]:
     return model, mujoco.MjData(model)
 
 
+def _step(model: mujoco.MjModel, data: mujoco.MjData, duration_s: float) -> None:
+    mujoco.mj_step(model, data, nstep=round(duration_s / model.opt.timestep))
+
+
 def _spring_forces() -> Check:
     physics = Physics()
     model, data = _nominal_robot(physics)
     rng = np.random.default_rng(0)
     worst = 0.0
     for _ in range(50):
-        data.qpos[7:] = model.jnt_range[1:, 0] + rng.random(model.nv - _FREE) * np.ptp(
-            model.jnt_range[1:], axis=1
-        )
+        data.qpos[7:] = rng.uniform(*model.jnt_range[1:].T)
         data.ctrl[:] = rng.random(model.nu)
         mujoco.mj_forward(model, data)
         expected = -physics.strengths() * spring_force(physics.spring, data.ten_length, data.ctrl)
@@ -74,7 +74,7 @@ def _deflections() -> list[Check]:
         data.qfrc_applied[model.joint(joint).dofadr[0]] = load
         excess = np.polynomial.Polynomial([-load, linear, 0.0, power3])
         expected = brentq(excess, 0.0, 1.0)
-        mujoco.mj_step(model, data, nstep=round(10.0 / model.opt.timestep))
+        _step(model, data, 10.0)
         got = float(data.qpos[model.joint(joint).qposadr[0]])
         name = f"deflection of {joint} under {load:g} {of}"
         checks.append(check_near(name, expected, got, unit, rel=1e-3))
@@ -85,12 +85,8 @@ def _standing() -> list[Check]:
     """Check that the ground carries the weight of an unpowered robot and that its sag is small."""
     physics = Physics()
     model, data = _nominal_robot(physics)
-    mujoco.mj_step(model, data, nstep=round(10.0 / model.opt.timestep))
-    force = np.zeros(6)
-    borne = 0.0
-    for i in range(data.ncon):
-        mujoco.mj_contactForce(model, data, i, force)
-        borne += force[0]
+    _step(model, data, 10.0)
+    borne = float(data.qfrc_constraint[2])  # vertical force of all contacts
     weight = GRAVITY_M_S2 * float(model.body_mass.sum())
     sag = 1000 * (2 * Morphology().segment_radius_m - float(data.subtree_com[1, 2]))
     # The penetration at rest is g (1 - d) / (d k), with k = 1 / (d_max timeconst)^2 and impedance d.
@@ -127,12 +123,12 @@ def _slope() -> list[Check]:
     stiff = replace(Physics(), friction=friction, neck_stiffness_n_m_rad=1.0, neck_damping_n_m_s_rad=0.1)
     for share in (0.9, 1.05, 1.1, 1.25):
         model, data = _nominal_robot(stiff)
-        mujoco.mj_step(model, data, nstep=round(2.0 / model.opt.timestep))
+        _step(model, data, 2.0)
         angle = math.atan(share * friction)
         model.opt.gravity[:] = [GRAVITY_M_S2 * math.sin(angle), 0, -GRAVITY_M_S2 * math.cos(angle)]
-        mujoco.mj_step(model, data, nstep=round(0.5 / model.opt.timestep))
+        _step(model, data, 0.5)
         start_m, before = float(data.subtree_com[1, 0]), _com_velocity(model, data)
-        mujoco.mj_step(model, data, nstep=round(duration_s / model.opt.timestep))
+        _step(model, data, duration_s)
         moved, gained = float(data.subtree_com[1, 0]) - start_m, _com_velocity(model, data) - before
         name = f"foot on a slope of {share:g} mu"
         if share < 1:
@@ -164,7 +160,7 @@ def check_symmetries(*, quick: bool) -> list[Check]:
     mirrored = replace(uneven, spring_strengths=tuple(swapped.tolist()))
     bodies, power = stack_power(random_robots(count, 1, perfect))
 
-    def crawl(physics: Physics, *, heading_rad: float = 0.0, offset_m: float = 0.0) -> Progress:
+    def crawl(physics: Physics, heading_rad: float = 0.0, offset_m: float = 0.0) -> Progress:
         return crawl_for(
             duration_s, bodies, power, physics, heading_rad=heading_rad, offset_m=offset_m
         ).progress()
@@ -234,18 +230,10 @@ def check_failures(healthy: Sequence[Robot]) -> list[Check]:
         "ok": (0.024, 0.0, math.radians(20)),
     }
     crawl = Crawl([Morphology()] * len(poses), physics)
-    com = crawl.simulation.state().com_m
-    qpos = np.stack([crawl.simulation.qpos(i) for i in range(len(poses))])
+    qpos = np.stack([crawl.simulation.qpos(row) for row in range(len(poses))])
     for row, (height, roll, yaw) in enumerate(poses.values()):
-        turn = [np.empty(4), np.empty(4), np.empty(4)]
-        mujoco.mju_axisAngle2Quat(turn[0], [0, 0, 1], yaw)
-        mujoco.mju_axisAngle2Quat(turn[1], [1, 0, 0], roll)
-        mujoco.mju_mulQuat(turn[2], turn[0], turn[1])
-        # Turn about the centre of mass.
-        middle = com[row, :2]
-        rotation = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
-        qpos[row, :2] = middle + (qpos[row, :2] - middle) @ rotation
-        qpos[row, 2], qpos[row, 3:7] = height, turn[2]
+        qpos[row, 2] = height
+        mujoco.mju_euler2Quat(qpos[row, 3:7], [roll, 0, yaw], "XYZ")
     crawl.simulation.place(qpos)
     crawl.run(np.zeros((len(poses), 10, physics.num_springs)))
     checks = []

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
 from caterpillar_env.files import write_json, writing
 from caterpillar_env.robot import Robot
+from caterpillar_env.task import EPISODE_S
 from evolution import cli
-from evolution.genome import Encoding
 
 if TYPE_CHECKING:
     from caterpillar_env.validation.check import Check
-    from caterpillar_env.validation.gaits import Gait
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class ValidateArgs:
     """Folder for the plots and validation.json. It is created if missing."""
 
 
-def groups(*, quick: bool) -> dict[str, Callable[[], list[Check]]]:
+def groups(robots: Sequence[Robot], *, quick: bool) -> dict[str, Callable[[], list[Check]]]:
     """Return the groups of checks in the order of the table, without those of gaits and timesteps."""
     from caterpillar_env.validation import conservation, golden, material, mechanics, robustness
 
@@ -50,74 +48,57 @@ def groups(*, quick: bool) -> dict[str, Callable[[], list[Check]]]:
             *conservation.check_energy(quick=quick),
         ],
         "golden trajectories": golden.check_trajectories,
-        "failure detectors": lambda: mechanics.check_failures(_load_robots(quick)),
-        "joint stops": lambda: robustness.check_stops(_load_robots(quick)),
+        "failure detectors": lambda: mechanics.check_failures(robots),
+        "joint stops": lambda: robustness.check_stops(robots),
     }
-
-
-def _load_robots(quick: bool) -> list[Robot]:
-    from caterpillar_env.validation.robots import evolved_robots
-
-    return evolved_robots(8) if quick else evolved_robots()
 
 
 def validate_command(argv: Sequence[str]) -> int:
     """Check the physics against closed forms, data sheets and finer timesteps."""
     from caterpillar_env.validation import convergence, gaits, golden, material, robustness
-    from caterpillar_env.validation.robots import farthest_robots
+    from caterpillar_env.validation.robots import evolved_robots, farthest_robots
 
     args = cli.parse(ValidateArgs, argv, "validate")
     with writing(args.out):
         args.out.mkdir(parents=True, exist_ok=True)
     console = cli.console()
+    robots = evolved_robots(8 if args.quick else None)
     results: dict[str, list[Check]] = {}
-
-    def run(name: str, make_checks: Callable[[], list[Check]]) -> None:
-        console.print(f"{name} ... ", end="")
-        started = time.monotonic()
+    for name, make_checks in groups(robots, quick=args.quick).items():
+        console.print(f"{name} ...")
         results[name] = make_checks()
-        console.print(f"{_count_passed(results[name])} ({time.monotonic() - started:.0f} s)")
-
-    for name, make_checks in groups(quick=args.quick).items():
-        run(name, make_checks)
-    console.print("measuring gaits ...")
-    measured = gaits.measure_gaits(_load_robots(args.quick), quick=args.quick)
-    run("gaits of the evolved robots", lambda: gaits.check_gaits(measured))
-    console.print("comparing timesteps, which takes most of the time ...")
+    console.print("gaits of the evolved robots ...")
+    measured = [gaits.measure_gait(robot, EPISODE_S / (3 if args.quick else 1)) for robot in robots]
+    results["gaits of the evolved robots"] = gaits.check_gaits(measured)
+    console.print("timestep, which takes most of the time ...")
     compared = convergence.compare(quick=args.quick)
-    run("timestep", lambda: convergence.check_timestep(compared))
-    console.print("plotting ...")
+    results["timestep"] = convergence.check_timestep(compared)
+    console.print("plots ...")
     material.plot(args.out / "sma.png")
     convergence.plot(compared, args.out / "timestep.png")
     if not args.quick:
-        swept = robustness.vary_parameters(farthest_robots(5))
-        robustness.plot_parameters(*swept, args.out / "sensitivity.png")
-        ratios = robustness.vary_genes(farthest_robots(10))
-        titles = [gene.title for gene in Encoding().genes]
-        robustness.plot_genes(ratios, titles, args.out / "perturbation.png")
+        ratios = robustness.vary_parameters(farthest_robots(5))
+        robustness.plot_parameters(ratios, args.out / "sensitivity.png")
     data = {group: [check._asdict() for check in checks] for group, checks in results.items()}
     write_json(args.out / "validation.json", data)
-    write_json(args.out / "gaits.json", [gait._asdict() for gait in measured])
-    tables = [_tabulate_checks(results), _tabulate_gaits(measured)]
+    rows = [gait._asdict() for gait in measured]
+    write_json(args.out / "gaits.json", rows)
+    tables = [_tabulate_checks(results), _tabulate("Gaits of the evolved robots", rows)]
     if args.settings:
-        console.print("comparing settings ...")
+        console.print("settings ...")
         rows = convergence.compare_settings()
         write_json(args.out / "settings.json", rows)
-        tables.append(_tabulate_settings(rows))
+        tables.append(_tabulate("Settings against references of 0.5 ms", rows))
     if args.json:
         print(json.dumps(data, indent=2))
     else:
         for table in tables:
             cli.print_table(table)
-    checks = [check for group in results.values() for check in group]
-    console.print(f"{_count_passed(checks)}; plots are in {args.out}")
+    passed = [check.passed for checks in results.values() for check in checks]
+    console.print(f"{sum(passed)} of {len(passed)} checks passed; plots are in {args.out}")
     if not all(check.passed for check in results["golden trajectories"]):
         console.print(golden.ADVICE)
-    return 0 if all(check.passed for check in checks) else 1
-
-
-def _count_passed(checks: list[Check]) -> str:
-    return f"{sum(check.passed for check in checks)} of {len(checks)} checks passed"
+    return 0 if all(passed) else 1
 
 
 def _tabulate_checks(results: dict[str, list[Check]]) -> Table:
@@ -132,24 +113,9 @@ def _tabulate_checks(results: dict[str, list[Check]]) -> Table:
     return table
 
 
-def _tabulate_gaits(measured: Sequence[Gait]) -> Table:
-    headings = (
-        "distance (mm)", "best tenth of the period", "peak speed (mm/s)", "slip over distance",
-        "load on the body", "overrun of a joint", "cost of transport", "body lengths per s",
-    )  # fmt: skip
-    table = Table(*headings, title="Gaits of the evolved robots", title_justify="left")
-    for g in sorted(measured, key=lambda g: -g.distance_m):
-        table.add_row(
-            f"{1000 * g.distance_m:.0f}", f"{g.best_tenth:.0%}", f"{1000 * g.peak_speed_m_s:.0f}",
-            f"{g.slip:.2f}", f"{g.body_load:.1%}", f"{g.overrun:.1%}", f"{g.cost_of_transport:.0f}",
-            f"{g.body_lengths_s:.3f}",
-        )  # fmt: skip
-    return table
-
-
-def _tabulate_settings(rows: list[dict[str, float | str]]) -> Table:
-    headings = [name.replace("_", " ") for name in rows[0]]
-    table = Table(*headings, title="Settings against references of 0.5 ms", title_justify="left")
+def _tabulate(title: str, rows: Sequence[dict[str, Any]]) -> Table:
+    """Return a table with a column for each key. The keys end with units."""
+    table = Table(*(name.replace("_", " ") for name in rows[0]), title=title, title_justify="left")
     for row in rows:
         table.add_row(*(v if isinstance(v, str) else f"{v:.3g}" for v in row.values()))
     return table

@@ -11,12 +11,10 @@ import pytest
 @pytest.mark.parametrize(
     ("arguments", "tables"),
     [
-        (["population", "--bodies", "3", "--seconds", "5", "--repeats", "1", "--sizes", "16,32"], 2),
-        (["population", "--memory", "--evaluations", "2000"], 1),
+        (["population", "--bodies", "3", "--periods", "2", "--repeats", "1"], 1),
         (["environments", "--repeats", "1", "--single"], 1),
         (["environments", "--repeats", "1", "--envs", "1,2"], 2),
         (["physics_step", "--repeats", "1"], 1),
-        (["startup", "--repeats", "1"], 1),
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, list) else "",
 )

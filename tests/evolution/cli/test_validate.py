@@ -30,18 +30,15 @@ def canned(monkeypatch, *, weight_n, golden_passes):
     """Leave out the simulations, keep everything around them."""
     nothing = np.zeros(4)
     outcomes = Outcomes(nothing.astype(np.int8), np.array([0.1, 0.2, 0.3, 0.4]), nothing, nothing)
-    result = convergence.Comparison(
-        outcomes, outcomes, np.array([False, False, True, True]), np.zeros(2),
-        outcomes._replace(failure=outcomes.failure[2:], distance_m=outcomes.distance_m[2:]),
-    )  # fmt: skip
+    result = convergence.Comparison(*[convergence.Pair(outcomes, outcomes)] * 4)
     monkeypatch.setattr(convergence, "compare", lambda *, quick: result)
     groups = {
         "mechanics": lambda: [check_at_most("weight", 1.0, weight_n, "N")],
         "golden trajectories": lambda: [check_equal("path", True, golden_passes)],
     }
     gait = gaits.Gait(0.1, 0.2, 0.1, 0.5, 0.0, 0.0, 1000.0, 0.03)
-    monkeypatch.setattr(gaits, "measure_gaits", lambda robots, *, quick: [gait])
-    monkeypatch.setattr(validate, "groups", lambda *, quick: groups)
+    monkeypatch.setattr(gaits, "measure_gait", lambda robot, duration_s: gait)
+    monkeypatch.setattr(validate, "groups", lambda robots, *, quick: groups)
 
 
 def test_a_failed_check_is_shown_and_sets_the_exit_status(tmp_path, capsys, monkeypatch):
