@@ -59,11 +59,7 @@ class Policy:
 
     @classmethod
     def load(cls, path: Path, config: TrainConfig) -> Policy:
-        """Load a policy that `save` wrote.
-
-        Args:
-            path: the .zip file.
-            config: configuration of the training run.
+        """Load a policy from the .zip file that `save` wrote.
 
         Raises:
             CaterpillarError: the file cannot be read.
@@ -97,14 +93,7 @@ class Policy:
         morphology: Morphology,
         on_interval: OnInterval | None = None,
     ) -> Outcomes:
-        """Run one episode with the most likely actions.
-
-        Args:
-            env: environment from `make_env`.
-            seed: seed of the episode.
-            morphology: body of the robot.
-            on_interval: see `CaterpillarEnv`.
-        """
+        """Run one episode with the most likely actions, in an environment from `make_env`."""
         env.on_interval = on_interval
         observation, _ = env.reset(seed=seed, options={"morphology": morphology})
         ended = False

@@ -99,11 +99,7 @@ def train(
 
 
 def _check_budget(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
-    """Return the maximum simulated seconds of one step of all robots and two evaluations.
-
-    Raises:
-        CaterpillarError: the budget is smaller than that, or too small for co-design.
-    """
+    """Return the maximum simulated seconds of one step of all robots and two evaluations."""
     count, budget_s = robots.num_envs, config.budget_s
     reserve_s = count * robots.vector_env.step_s + 2 * EPISODE_S
     if reserve_s > budget_s:

@@ -25,9 +25,13 @@ class ViewArgs:
     source: Annotated[Path | None, tyro.conf.Positional] = None
     """Run folder, or JSON file of one robot (best.json); default: the nominal robot."""
     port: int = 8080
-    """Port of 127.0.0.1 for the page; 0 means any free port."""
+    """Port of 127.0.0.1 for the page, or the next one that is free; 0 means any free port."""
     open: bool = False
     """Open the page in the browser."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port < 2**16:
+            raise CaterpillarError(f"port = {self.port} must be an integer from 0 to {2**16 - 1}")
 
 
 def view_command(argv: Sequence[str]) -> int:

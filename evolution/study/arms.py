@@ -57,29 +57,37 @@ class Arm(Protocol):
         ...
 
 
-def make_arm(data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm:
-    """Make an arm of the kind that `data["kind"]` names ("evolution" by default).
+def make_arm(name: str, data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm:
+    """Make the arm `name` of the kind that `data["kind"]` names ("evolution" by default).
 
     Args:
+        name: name of the arm, for messages.
         data: settings of this arm.
         base: settings shared by all arms.
 
     Raises:
         CaterpillarError: the kind is unknown, or a setting is invalid.
     """
+    if not isinstance(data, Mapping):
+        raise CaterpillarError(f"arms.{name} must be a table; got {data!r}")
+    if reserved := {*data, *base} & {"seed", "generations", "budget_s"}:
+        names = ", ".join(sorted(reserved))
+        raise CaterpillarError(f"arms.{name}: remove {names}, which the study sets for every run")
     settings = dict(data)
-    name = settings.pop("kind", "evolution")
+    kind = settings.pop("kind", "evolution")
     known = {e.name: e for e in entry_points(group="caterpillar.arms")}
-    if name not in known:
-        raise CaterpillarError(f"kind = {name!r} must be one of {', '.join(sorted(known))}")
     try:
-        kind: type[Arm] = known[name].load()
+        if kind not in known:
+            raise CaterpillarError(f"kind = {kind!r} must be one of {', '.join(sorted(known))}")
+        arm: Arm = known[kind].load().from_dict(settings, base)
+        return arm
     except ImportError as error:
         raise CaterpillarError(
-            f"kind = {name!r} needs a package that is missing: {error} (for 'rl': pip install "
-            "'caterpillar-sma[rl]')"
+            f"arms.{name}: kind = {kind!r} needs a package that is missing: {error} (for 'rl': pip "
+            "install 'caterpillar-sma[rl]')"
         ) from None
-    return kind.from_dict(settings, base)
+    except CaterpillarError as error:
+        raise CaterpillarError(f"arms.{name}: {error}") from None
 
 
 def merge(base: Mapping[str, Any], special: Mapping[str, Any]) -> dict[str, Any]:

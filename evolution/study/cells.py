@@ -29,11 +29,7 @@ _Task = tuple[Arm, Path, int, float]  # an arm, and the arguments of `Arm.run`
 
 
 class Processes:
-    """Runs each cell in a process of this machine, on one thread.
-
-    Args:
-        count: maximum number of cells at a time.
-    """
+    """Runs each cell in a process of this machine, at most `count` at a time."""
 
     def __init__(self, count: int) -> None:
         self.count = count
@@ -144,8 +140,8 @@ def run_study(
 
     Args:
         config: the study.
-        folder: folder of the study (see `evolution.study.config.begin`).
-        workers: the processes or Ray tasks that run the cells.
+        folder: its folder (see `evolution.study.config.begin`).
+        workers: what runs the cells.
         on_progress: called twice a second with the number of cells that have ended, and with the
             completed share of the simulated seconds of all cells, in [0, 1].
 

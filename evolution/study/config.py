@@ -47,9 +47,9 @@ class StudyConfig:
     """
 
     arms: Mapping[str, Arm]
-    seeds: tuple[int, ...]
-    pilot_seeds: tuple[int, ...]  #: seeds of the reference arm's pilot runs, for the thresholds only
-    budget_s: float  #: simulated seconds of each run
+    seeds: tuple[int, ...] = ()
+    pilot_seeds: tuple[int, ...] = ()  #: seeds of the reference's pilot runs, for the thresholds only
+    budget_s: float = 0.0  #: simulated seconds of each run
     reference: str = "ga-uniform"  #: arm that the other arms are compared with
     generation: int = 50  #: arms with the reference's algorithm are also compared at this generation
     #: Thresholds as shares of the median final distance of the reference's pilot runs.
@@ -105,16 +105,15 @@ class StudyConfig:
         settings: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
         sources = {name: settings.pop(name, {}) for name in ("base", "arms")}
         for name, table in sources.items():
-            _check_table(name, table)
+            if not isinstance(table, Mapping):
+                raise CaterpillarError(f"{name} must be a table; got {table!r}")
         known = [f.name for f in fields(cls) if f.name not in ("arms", "sources")]
         if unknown := set(settings) - set(known):
             raise CaterpillarError(
                 f"a study has no {', '.join(sorted(unknown))}; its fields are base, arms, "
                 f"{', '.join(known)}"
             )
-        if missing := [name for name in ("seeds", "pilot_seeds", "budget_s") if name not in settings]:
-            raise CaterpillarError(f"a study needs {', '.join(missing)}")
-        arms = {name: _read_arm(name, arm, sources["base"]) for name, arm in sources["arms"].items()}
+        arms = {name: make_arm(name, arm, sources["base"]) for name, arm in sources["arms"].items()}
         return cls(arms, **settings, sources=sources)
 
     def to_dict(self) -> dict[str, Any]:
@@ -149,22 +148,6 @@ class StudyConfig:
                     f"{self.budget_s:g}"
                 )
         return found
-
-
-def _check_table(name: str, table: Any) -> None:
-    if not isinstance(table, Mapping):
-        raise CaterpillarError(f"{name} must be a table; got {table!r}")
-
-
-def _read_arm(name: str, settings: Any, base: Mapping[str, Any]) -> Arm:
-    _check_table(f"arms.{name}", settings)
-    if reserved := {*settings, *base} & {"seed", "generations", "budget_s"}:
-        names = ", ".join(sorted(reserved))
-        raise CaterpillarError(f"arms.{name}: remove {names}, which the study sets for every run")
-    try:
-        return make_arm(settings, base)
-    except CaterpillarError as error:
-        raise CaterpillarError(f"arms.{name}: {error}") from None
 
 
 def read_toml(path: Path) -> StudyConfig:

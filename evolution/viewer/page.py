@@ -33,14 +33,6 @@ class Page:
     """Robot, scene and controls of one page. A single thread changes them.
 
     Buttons and sliders put functions into a queue. The thread calls them between two frames.
-
-    Args:
-        client: a client, or a server for all its clients.
-        robot: the initial robot.
-
-    Attributes:
-        session: the simulation.
-        status: text about the robot.
     """
 
     def __init__(self, client: viser.ClientHandle | viser.ViserServer, robot: Robot) -> None:

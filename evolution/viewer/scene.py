@@ -17,11 +17,7 @@ _GROUND_M = 4.0  # side length of the ground; no robot crawls 2 m in 30 s
 
 
 class RobotScene:
-    """The ground and one robot.
-
-    Args:
-        scene: viser scene of the page.
-    """
+    """The ground and one robot."""
 
     def __init__(self, scene: SceneApi) -> None:
         self._scene = scene

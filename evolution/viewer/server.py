@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import io
-import socket
 import warnings
 
 import numpy as np
 import viser
 
-from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import length_m, segments_of
 from caterpillar_env.robot import Robot
 from evolution.viewer.page import Page
@@ -32,10 +30,10 @@ class Viewer:
 
     Args:
         robot: initial robot of every tab.
-        port: port of 127.0.0.1; 0 selects a free port.
+        port: port of 127.0.0.1; 0 selects a free port. If it is in use, viser takes the next free one.
 
     Raises:
-        CaterpillarError: the port is not available, or the robot's gait cannot be simulated.
+        CaterpillarError: the robot's gait cannot be simulated.
     """
 
     def __init__(self, robot: Robot, port: int) -> None:
@@ -44,7 +42,6 @@ class Viewer:
         # viser warns if a tab is closed before it has received all messages.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         Session(robot)  # raises if the robot cannot be simulated
-        _check_port(port)
         with contextlib.redirect_stdout(io.StringIO()):  # viser prints its address
             self._server = _LocalServer(HOST, port, label="Caterpillar", verbose=False)
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
@@ -77,16 +74,3 @@ class Viewer:
         page = self._pages.pop(client.client_id, None)
         if page is not None:
             page.close()
-
-
-def _check_port(port: int) -> None:
-    """Raise an error if the port is not available. viser would use the next one instead."""
-    try:
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind((HOST, port))
-    except (OSError, OverflowError) as error:
-        raise CaterpillarError(
-            f"cannot listen on port {port} of {HOST}: {error}; choose a different one with --port, or 0 "
-            "for any free port"
-        ) from None

@@ -30,12 +30,6 @@ class Session:
 
     An unchanged robot reproduces `Robot.simulate` bit for bit.
 
-    Args:
-        robot: the initial robot.
-
-    Attributes:
-        robot: the current robot.
-
     Raises:
         CaterpillarError: the gait period is not a multiple of the control interval, or the times
             match neither the springs nor the mirrored pairs.

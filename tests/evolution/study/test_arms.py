@@ -31,9 +31,9 @@ def test_nested_tables_are_merged_and_other_values_replaced():
 
 
 def test_kind_of_an_arm_must_be_installed():
-    assert make_arm({"prior": "uniform"}, {}) == ARM
-    with pytest.raises(CaterpillarError, match="kind = 'magic' must be one of evolution"):
-        make_arm({"kind": "magic"}, {})
+    assert make_arm("a", {"prior": "uniform"}, {}) == ARM
+    with pytest.raises(CaterpillarError, match=r"arms\.a: kind = 'magic' must be one of evolution"):
+        make_arm("a", {"kind": "magic"}, {})
 
 
 def test_runs_of_an_arm_differ_in_their_seed_only():

@@ -122,7 +122,7 @@ def test_folder_with_other_files_is_rejected(tmp_path):
         (changed(generation="x"), "generation = 'x' must be an integer"),
         (changed(arms={**SMALL["arms"], "a/b": {}}), "the name of an arm is used for a folder"),
         (changed(luck=1), "a study has no luck; its fields are base, arms, seeds"),
-        ({k: v for k, v in SMALL.items() if k != "seeds"}, "a study needs seeds"),
+        ({k: v for k, v in SMALL.items() if k != "seeds"}, "seeds must be a list of different"),
         (changed(arms={"ga-uniform": {"seed": 3}}), "remove seed, which the study sets"),
         (
             changed(arms={"ga-uniform": {"target_m": 0.1}}),
