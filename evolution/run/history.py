@@ -136,11 +136,6 @@ class History:
         """Largest distance of a robot that did not fail, in m; 0 if there is none."""
         return self.generations[-1].farthest_m if self.generations else 0.0
 
-    @property
-    def wall_s(self) -> float | None:
-        """Wall time in s; None unless the run ended in its first session."""
-        return self.sessions[0].wall_s if self.sessions else None
-
     def ending(self, generations: int | None = None) -> str | None:
         """Return why the run is over, or None if another generation follows.
 

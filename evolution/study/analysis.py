@@ -46,7 +46,6 @@ class Finals(NamedTuple):
     failed: float  #: share of evaluations that failed
     a12: Estimate | None  #: against the reference
     mann_whitney_p: float | None  #: against the reference, corrected over the arms (Holm)
-    wall_s: float | None  #: median wall time of uninterrupted runs
 
 
 class Gain(NamedTuple):
@@ -131,7 +130,6 @@ def _finals(config: StudyConfig, runs: dict[str, list[Run]]) -> list[Finals]:
     rows = []
     for arm, values in final_m.items():
         failures = np.concatenate([run.failure for run in runs[arm]])
-        walls_s = [run.wall_s for run in runs[arm] if run.wall_s is not None]
         rows.append(
             Finals(
                 arm=arm,
@@ -141,7 +139,6 @@ def _finals(config: StudyConfig, runs: dict[str, list[Run]]) -> list[Finals]:
                 failed=float(np.mean(failures != "ok")),
                 a12=a12.get(arm),
                 mann_whitney_p=p.get(arm),
-                wall_s=float(np.median(walls_s)) if walls_s else None,
             )
         )
     return rows

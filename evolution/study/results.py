@@ -29,7 +29,7 @@ _OUTCOME = {
 class Results(NamedTuple):
     """Evaluations of the finished runs of a study."""
 
-    table: polars.DataFrame  #: one row per evaluation: arm, seed, wall_s, outcome, genes in SI units
+    table: polars.DataFrame  #: one row per evaluation: arm, seed, outcome, genes in SI units
     missing: list[Cell]  #: runs that are not finished
 
 
@@ -82,7 +82,6 @@ def _to_table(cell: Cell, history: History) -> polars.DataFrame:
     return rows.select(
         polars.lit(cell.arm).alias("arm"),
         polars.lit(cell.seed, polars.Int64).alias("seed"),
-        polars.lit(history.wall_s, polars.Float64).alias("wall_s"),
         *(polars.col(name).cast(kind) for name, kind in _OUTCOME.items()),
         polars.col(genes).cast(polars.Float32),
     )
@@ -105,7 +104,6 @@ class Run(NamedTuple):
     failure: NDArray[Any]  #: "ok" or the kind of failure, (E,)
     generation: NDArray[np.int64]  #: number of the generation, (E,)
     generations: int  #: number of generations completed within the budget
-    wall_s: float | None  #: wall time; None if the run was interrupted
 
     def time_to(self, distance_m: float) -> float:
         """Return the simulated time (s) at which the run reaches a distance; infinite if never."""
@@ -139,7 +137,6 @@ def read_runs(
                 failure=failure[:count],
                 generation=generation[:count],
                 generations=int(generation[count] if count < len(rows) else generation[-1] + 1),
-                wall_s=rows["wall_s"][0],
             )
         )
     return runs

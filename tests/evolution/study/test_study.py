@@ -70,9 +70,7 @@ def test_an_interrupted_study_is_resumed_with_the_same_result(finished, tmp_path
         run_study(config, tmp_path / "again", workers, stop)
     assert len(collect(config, tmp_path / "again").missing) > 0
     assert run_study(config, tmp_path / "again", Processes(2)) == []
-    ours, theirs = (
-        collect(config, folder).table.drop("wall_s") for folder in (tmp_path / "again", finished)
-    )
+    ours, theirs = (collect(config, folder).table for folder in (tmp_path / "again", finished))
     assert ours.equals(theirs)
 
 
@@ -154,7 +152,7 @@ def test_cells_on_ray_give_the_same_bits(finished, tmp_path):
     assert run_study(config, tmp_path / "ray", RayTasks()) == []
     ours, theirs = collect(config, tmp_path / "ray"), collect(config, finished)
     assert not ours.missing
-    assert ours.table.drop("wall_s").equals(theirs.table.drop("wall_s"))
+    assert ours.table.equals(theirs.table)
 
 
 # Results
@@ -178,7 +176,7 @@ def test_thresholds_are_shares_of_the_median_of_all_pilot_runs(tmp_path):
     rows = [
         {
             "arm": "ga-uniform", "seed": seed, "evaluation": 0, "generation": 0, "failure": "ok",
-            "distance_m": end_m, "simulated_s": 30.0, "wall_s": None,
+            "distance_m": end_m, "simulated_s": 30.0,
         }
         for seed, end_m in ends_m.items()
     ]  # fmt: skip
@@ -197,7 +195,7 @@ def test_pilot_seeds_are_excluded_from_the_tables(finished):
 def test_distances_of_a_run_by_time_and_generation():
     run = Run(
         seed=0, spent_s=np.array([10.0, 20.0, 35.0, 50.0]), best_m=np.array([0.0, 0.01, 0.01, 0.03]),
-        failure=np.full(4, "ok"), generation=np.array([0, 0, 1, 1]), generations=2, wall_s=None,
+        failure=np.full(4, "ok"), generation=np.array([0, 0, 1, 1]), generations=2,
     )  # fmt: skip
     assert [run.time_to(distance_m) for distance_m in (0.01, 0.02, 0.04)] == [20.0, 50.0, np.inf]
     assert [run.at_generation(n) for n in (0, 1)] == [0.01, 0.03]
@@ -215,7 +213,6 @@ def test_evaluations_beyond_the_budget_do_not_count():
             "failure": ["ok", "tipped", "ok", "ok"],
             "distance_m": [0.01, 0.5, -0.2, 0.9],
             "simulated_s": [10.0, 4.0, 16.0, 10.0],
-            "wall_s": [60.0] * 4,
         }
     )  # fmt: skip
     (run,) = read_runs(frame, config, (0, 1))["cma-es"]

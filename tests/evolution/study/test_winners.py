@@ -53,7 +53,7 @@ class ArtificialArm:
 def make_run(seed, best_m):
     """A run of seven evaluations; the one with the best distance is as in `ArtificialArm`."""
     curve_m = np.minimum(np.arange(7) / 10, best_m)
-    return Run(seed, 30.0 * np.arange(1, 8), curve_m, np.full(7, "ok"), np.zeros(7, dtype=int), 1, None)
+    return Run(seed, 30.0 * np.arange(1, 8), curve_m, np.full(7, "ok"), np.zeros(7, dtype=int), 1)
 
 
 @pytest.fixture
