@@ -10,14 +10,12 @@ import numpy as np
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from caterpillar_env.drawing.backend import has_display
 from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.episodes import ActionMode, EpisodeConfig, Episodes, check_options
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
-from caterpillar_env.pose import Trace
 from caterpillar_env.randomization import Randomization
 from caterpillar_env.task import EPISODE_S, OnInterval
 
@@ -48,7 +46,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         randomization: ranges of the conditions to sample at each reset: a mapping from fields of
             `Randomization` to lower and upper bounds.
         terminate_on_failure: whether a failure ends the episode. A divergence always does.
-        render_mode: None, "human" or "rgb_array".
+        render_mode: None or "rgb_array". With pygame, `gymnasium.make` shows "human" in a window.
         width: width of the frames, pixels.
         height: height of the frames, pixels.
         camera_name: "track", "side" or "top"; all of them follow the robot.
@@ -63,7 +61,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
-        "render_modes": ["human", "rgb_array"],
+        "render_modes": ["rgb_array"],
         "render_fps": round(1 / CONTROL_INTERVAL_S),
     }
 
@@ -91,12 +89,8 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     ) -> None:
         arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         EzPickle.__init__(self, **arguments)
-        modes = [m for m in self.metadata["render_modes"] if m != "human" or has_display()]
-        if render_mode is not None and render_mode not in modes:
-            raise CaterpillarError(
-                f"render_mode must be None or one of {', '.join(modes)}; got {render_mode!r}"
-                + ('. "human" needs a display, and DISPLAY is not set' if len(modes) < 2 else "")
-            )
+        if render_mode not in (None, "rgb_array"):
+            raise CaterpillarError(f'render_mode must be None or "rgb_array"; got {render_mode!r}')
         body = Morphology.of({} if morphology is None else morphology)
         self._episodes = Episodes([body], EpisodeConfig.of(arguments), threads=1)
         self.crawl = self._episodes.crawl
@@ -107,8 +101,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         view = View(width, height, camera_name)
         self._pictures = Pictures(self.crawl, view, overlay=overlay)
         self._running = False
-        fps = 1 / self.dt if render_mode == "rgb_array" else self.metadata["render_fps"]
-        self.metadata = {**self.metadata, "render_modes": modes, "render_fps": fps}
+        self.metadata = {**self.metadata, "render_fps": 1 / self.dt}  # one frame per step
 
     @property
     def dt(self) -> float:
@@ -134,7 +127,6 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         bodies = [Morphology.of(chosen["morphology"])] if "morphology" in chosen else None
         observation, info = self._episodes.reset(_ROW, [self.np_random], bodies)
         self._running = True
-        self._update_window()
         return observation[0], _scalars(info)
 
     def step(
@@ -143,9 +135,8 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         """Advance by `frame_skip` gait periods (timing) or control intervals (switch)."""
         if not self._running:
             raise CaterpillarError("call reset() before step()")
-        live = self.on_interval is not None or self.render_mode == "human"
         observation, reward, terminated, truncated, info = self._episodes.step(
-            self._episodes.check_actions([action], 1), _ROW, self._after_interval if live else None
+            self._episodes.check_actions([action], 1), _ROW, self.on_interval
         )
         return (
             observation[0],
@@ -164,20 +155,11 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
             return None
         if not self._running:
             raise CaterpillarError("call reset() before render()")
-        return self._pictures.draw(0, self.render_mode)
+        return self._pictures.draw(0)
 
     def close(self) -> None:
-        """Free the window or the drawing context."""
+        """Free the drawing context."""
         self._pictures.close()
-
-    def _after_interval(self, trace: Trace) -> None:
-        if self.on_interval is not None:
-            self.on_interval(trace)
-        self._update_window()
-
-    def _update_window(self) -> None:
-        if self.render_mode == "human":
-            self._pictures.draw(0, "human")
 
 
 def _scalars(info: dict[str, NDArray[Any]]) -> dict[str, Any]:

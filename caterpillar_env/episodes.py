@@ -151,7 +151,7 @@ class Episodes:
         self._intervals[rows] = 0
         state, start = self.crawl.simulation.state(rows), self.crawl.progress(rows)
         zeros = np.zeros(len(rows))
-        return self._observe(rows, state, start), self._info(rows, state, start, start, zeros, zeros)
+        return self._observe(rows, state, start), _info(state, start, start, zeros, zeros)
 
     def step(
         self,
@@ -182,7 +182,7 @@ class Episodes:
         terminated = failed if config.terminate_on_failure else diverged
         state = self.crawl.simulation.state(rows)
         truncated = ~terminated & (self._intervals[rows] >= self._limit)
-        info = self._info(rows, state, before, after, forward, ctrl) | {"reward_failure": failure}
+        info = _info(state, before, after, forward, ctrl) | {"reward_failure": failure}
         observation = self._observe(rows, state, after)
         return observation, forward + ctrl + failure, terminated, truncated, info
 
@@ -213,10 +213,9 @@ class Episodes:
         """Return the share of the drive power in the next environment step, (R, steps, springs)."""
         if self.config.action_mode == "switch":
             return np.repeat(actions[:, None], self._step_intervals * STEPS_PER_INTERVAL, axis=1)
-        timings = GaitTimings.from_action(
-            actions, self.config.gait_period_s, mirrored=self.config.symmetric
-        )
-        return np.tile(timings.power(SMA_STEP_S), (1, self.config.frame_skip, 1))
+        timings = GaitTimings.from_action(actions, self.config.gait_period_s)
+        power = timings.of_springs(self.config.physics.num_springs).power(SMA_STEP_S)
+        return np.tile(power, (1, self.config.frame_skip, 1))
 
     def _observe(self, rows: Rows, state: BodyState, progress: Progress) -> NDArray[np.float32]:
         seen = observe(
@@ -227,35 +226,25 @@ class Episodes:
             seen = np.clip(np.nan_to_num(seen), -OBSERVATION_LIMIT, OBSERVATION_LIMIT)
         return seen
 
-    def _info(
-        self, rows: Rows, state: BodyState, before: Progress, now: Progress, forward: Array, ctrl: Array
-    ) -> dict[str, NDArray[Any]]:
-        elapsed_s = np.maximum(now.time_s - before.time_s, CONTROL_INTERVAL_S)
-        info = {
-            "x_position": state.com_m[:, 0],
-            "y_position": state.com_m[:, 1],
-            "distance": now.distance_m,
-            "distance_from_origin": np.hypot(now.distance_m, now.lateral_m),
-            "x_velocity": (now.distance_m - before.distance_m) / elapsed_s,
-            "y_velocity": (now.lateral_m - before.lateral_m) / elapsed_s,
-            "reward_forward": forward,
-            "reward_ctrl": ctrl,
-            "energy_j": now.energy_j,
-            "body_load": now.body_load,
-            "time_s": now.time_s,
-            "failure": np.array([label(f) for f in now.failure], dtype=object),
-        }
-        if self.config.randomization is not None:
-            met = [c for c in (self.crawl.simulation.conditions[row] for row in rows) if c is not None]
-            strengths = np.empty(len(met), dtype=object)
-            strengths[:] = [c.strengths for c in met]
-            info |= {
-                "friction": np.array([c.friction for c in met]),
-                "spring_strengths": strengths,
-                "mass": np.array([c.mass for c in met]),
-                "ambient_c": np.array([c.ambient_c for c in met]),
-            }
-        return info
+
+def _info(
+    state: BodyState, before: Progress, now: Progress, forward: Array, ctrl: Array
+) -> dict[str, NDArray[Any]]:
+    elapsed_s = np.maximum(now.time_s - before.time_s, CONTROL_INTERVAL_S)
+    return {
+        "x_position": state.com_m[:, 0],
+        "y_position": state.com_m[:, 1],
+        "distance": now.distance_m,
+        "distance_from_origin": np.hypot(now.distance_m, now.lateral_m),
+        "x_velocity": (now.distance_m - before.distance_m) / elapsed_s,
+        "y_velocity": (now.lateral_m - before.lateral_m) / elapsed_s,
+        "reward_forward": forward,
+        "reward_ctrl": ctrl,
+        "energy_j": now.energy_j,
+        "body_load": now.body_load,
+        "time_s": now.time_s,
+        "failure": np.array([label(f) for f in now.failure], dtype=object),
+    }
 
 
 def read_morphologies(value: Any, num_envs: int) -> list[Morphology]:

@@ -33,11 +33,6 @@ def pair_names(num_segments: int) -> list[str]:
     return [f"gap{g + 1}_{height}" for g in range(num_segments - 1) for height in ("dorsal", "ventral")]
 
 
-def mirror(pairs: Array) -> Array:
-    """Repeat the value of each pair for its two springs, along the last axis: (..., P) to (..., 2 P)."""
-    return np.repeat(pairs, SPRINGS_PER_GAP // PAIRS_PER_GAP, axis=-1)
-
-
 @dataclass(frozen=True)
 class GaitTimings:
     """On and off times of any number of springs with a common period.
@@ -77,21 +72,16 @@ class GaitTimings:
             )
 
     @classmethod
-    def from_action(
-        cls, action: NDArray[Any], period_s: float, *, mirrored: bool = False
-    ) -> GaitTimings:
+    def from_action(cls, action: NDArray[Any], period_s: float) -> GaitTimings:
         """Create timings from an action.
 
         Args:
-            action: on and off time of each of n springs in turn, shape (..., 2 n). -1 is the start of
-                the period and 1 its end; values outside are clipped.
+            action: on and off time of each of n springs or pairs in turn, shape (..., 2 n). -1 is the
+                start of the period and 1 its end; values outside are clipped.
             period_s: gait period, s.
-            mirrored: whether the action holds times of n mirrored pairs. The result then holds times of
-                their 2 n springs.
         """
         times = np.clip((np.asarray(action, dtype=np.float64) + 1.0) * 0.5 * period_s, 0.0, period_s)
-        on_s, off_s = times[..., 0::2], times[..., 1::2]
-        return cls(period_s, mirror(on_s), mirror(off_s)) if mirrored else cls(period_s, on_s, off_s)
+        return cls(period_s, times[..., 0::2], times[..., 1::2])
 
     def to_action(self) -> NDArray[np.float32]:
         """Return the action for these timings, shape (..., 2 n), float32; see `from_action`."""
@@ -100,7 +90,8 @@ class GaitTimings:
 
     def mirrored(self) -> GaitTimings:
         """Return the timings of the springs from these timings of mirrored pairs."""
-        return GaitTimings(self.period_s, mirror(self.on_s), mirror(self.off_s))
+        on_s, off_s = np.repeat([self.on_s, self.off_s], SPRINGS_PER_GAP // PAIRS_PER_GAP, axis=-1)
+        return GaitTimings(self.period_s, on_s, off_s)
 
     def of_springs(self, num_springs: int) -> GaitTimings:
         """Return the timings of all springs. `self` holds those of the springs or of mirrored pairs.

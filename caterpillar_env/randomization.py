@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import mujoco
@@ -55,11 +55,10 @@ class Randomization:
                 low, high = map(float, value)
             except (TypeError, ValueError):
                 low, high = math.nan, math.nan
-            minimum, exclusive = _MINIMUM[f.name]
-            if not (low <= high < math.inf and (low > minimum if exclusive else low >= minimum)):
+            if not _MINIMUM[f.name] <= low <= high < math.inf:
                 raise CaterpillarError(
-                    f"randomization of {f.name} must be two numbers in increasing order, "
-                    f"{'above' if exclusive else 'at least'} {minimum:g}; got {value!r}"
+                    f"randomization of {f.name} must be two numbers in increasing order, at least "
+                    f"{_MINIMUM[f.name]:g}; got {value!r}"
                 )
             object.__setattr__(self, f.name, (low, high))
 
@@ -75,44 +74,36 @@ class Randomization:
         return None if value == cls() else value
 
     def check(self, physics: Physics) -> None:
-        """Check that springs can cool down at every air temperature in the range.
+        """Check that springs can cool down in the warmest air.
 
         Raises:
             CaterpillarError: `ambient_c` reaches the martensite finish temperature Mf.
         """
-        finish_c = physics.spring.martensite_finish_c
-        if self.ambient_c is not None and self.ambient_c[1] >= finish_c:
-            raise CaterpillarError(
-                f"randomization of ambient_c must end below {finish_c:g} degC (Mf), so that springs "
-                f"can cool down; got {self.ambient_c}"
-            )
+        if self.ambient_c is not None:
+            replace(physics.spring, ambient_c=self.ambient_c[1])
 
     def draw(self, physics: Physics, rng: np.random.Generator) -> Conditions:
         """Sample the conditions of one episode. The number of random draws is always the same."""
-        share = rng.uniform(size=len(fields(self)))
+        shares = rng.uniform(size=len(fields(self)))
         normal = rng.standard_normal(physics.num_springs)
-
-        def sample(name: str, index: int, default: float) -> float:
-            bounds: Range | None = getattr(self, name)
-            if bounds is None:
-                return default
-            return float(bounds[0] + share[index] * (bounds[1] - bounds[0]))
-
+        sampled = {}
+        for (name, bounds), share in zip(vars(self).items(), shares.tolist(), strict=True):
+            if bounds is not None:
+                sampled[name] = bounds[0] + share * (bounds[1] - bounds[0])
         strengths = physics.strengths()
-        if self.mismatch_std is not None:
-            strengths = mismatched(sample("mismatch_std", 1, 0.0), normal)
+        if "mismatch_std" in sampled:
+            strengths = mismatched(sampled["mismatch_std"], normal)
         return Conditions(
-            friction=sample("friction", 0, physics.friction),
-            strengths=tuple((sample("spring_force", 2, 1.0) * strengths).tolist()),
-            mass=sample("mass", 3, 1.0),
-            ambient_c=sample("ambient_c", 4, physics.spring.ambient_c),
+            friction=sampled.get("friction", physics.friction),
+            strengths=tuple((sampled.get("spring_force", 1.0) * strengths).tolist()),
+            mass=sampled.get("mass", 1.0),
+            ambient_c=sampled.get("ambient_c", physics.spring.ambient_c),
         )
 
 
-#: Minimum of each range, and whether the minimum itself is excluded.
+#: Minimum of each range. Springs without force and bodies without mass cannot be simulated.
 _MINIMUM = {
-    "friction": (0.0, False), "mismatch_std": (0.0, False), "spring_force": (0.0, True),
-    "mass": (0.0, True), "ambient_c": (-273.15, False),
+    "friction": 0.0, "mismatch_std": 0.0, "spring_force": 0.01, "mass": 0.01, "ambient_c": -273.15,
 }  # fmt: skip
 
 

@@ -230,7 +230,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         """Return one frame per row, or None without a render mode or a drawing backend."""
         if self.render_mode is None:
             return None
-        frames = tuple(self._pictures.draw(row, "rgb_array") for row in range(self.num_envs))
+        frames = tuple(self._pictures.draw(row) for row in range(self.num_envs))
         return None if frames[0] is None else frames
 
     def close_extras(self, **kwargs: Any) -> None:

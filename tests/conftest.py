@@ -13,7 +13,7 @@ def can_draw():
 
     renderer = RobotRenderer(Morphology(), Physics(), View(8, 8))
     try:
-        renderer.draw(renderer.model.qpos0, np.full(12, 25.0), "rgb_array")
+        renderer.draw(renderer.model.qpos0, np.full(12, 25.0))
     except RenderingError:
         return False
     renderer.close()

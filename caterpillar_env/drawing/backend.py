@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 
 #: Advice for machines without an off-screen OpenGL backend.
 INSTALL_DRAWING = (
@@ -12,14 +11,8 @@ INSTALL_DRAWING = (
 )
 
 
-def has_display() -> bool:
-    """Return whether a window can be opened."""
-    return sys.platform != "linux" or bool(
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    )
-
-
 def choose_backend() -> str:
     """Return the rendering backend: MUJOCO_GL if set, else "glfw" with a display and "egl" without."""
     given = os.environ.get("MUJOCO_GL", "").lower().strip()
-    return given or ("glfw" if has_display() else "egl")
+    has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return given or ("glfw" if has_display else "egl")

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from typing import Any
 
 import gymnasium
 import mujoco
@@ -94,7 +92,6 @@ class RobotRenderer:
         # Place the zero of the ruler at the initial centre of mass, so that it shows the distance.
         model.geom_pos[self._ruler, 0] += self.centre_of_mass(model.qpos0)[0]
         self._canvas: mujoco.Renderer | None = None
-        self._window: Any = None
 
     def centre_of_mass(self, qpos: Array) -> Array:
         """Return the centre of mass, m, (3,), in the pose `qpos` (nq,)."""
@@ -104,18 +101,14 @@ class RobotRenderer:
         return centre
 
     def draw(
-        self, qpos: Array, temperature_c: Array, mode: str, readout: Readout | None = None
-    ) -> NDArray[np.uint8] | None:
-        """Draw a pose.
+        self, qpos: Array, temperature_c: Array, readout: Readout | None = None
+    ) -> NDArray[np.uint8]:
+        """Return an image of a pose, shape (height, width, 3).
 
         Args:
             qpos: MuJoCo generalized positions, (nq,).
             temperature_c: spring temperatures, degC, (springs,).
-            mode: "rgb_array" or "human".
             readout: values to write on the image, together with a legend.
-
-        Returns:
-            An image (height, width, 3), uint8, or None in human mode.
 
         Raises:
             RenderingError: rendering is not possible on this machine.
@@ -123,9 +116,6 @@ class RobotRenderer:
         centre = self.centre_of_mass(qpos)
         self._data.geom_xpos[self._ruler, 1] += centre[1]  # keep the ruler beside the robot
         self.model.tendon_rgba[:, :3] = spring_rgb(self._spring, temperature_c)
-        if mode == "human":
-            self._show()
-            return None
         canvas = self._open_canvas()
         canvas.update_scene(self._data, self._view.camera_name, self._option)
         canvas.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
@@ -138,12 +128,10 @@ class RobotRenderer:
         return frame if readout is None else annotate(frame, readout, self._spring)
 
     def close(self) -> None:
-        """Release the window and the rendering context."""
+        """Release the rendering context."""
         if self._canvas is not None:
             self._canvas.close()
-        if self._window is not None:
-            self._window.close()
-        self._canvas = self._window = None
+        self._canvas = None
 
     def _open_canvas(self) -> mujoco.Renderer:
         global unavailable
@@ -167,23 +155,6 @@ class RobotRenderer:
                 fix = "to draw without a display, export MUJOCO_GL=egl"
             raise RenderingError(f"cannot draw ({unavailable}); {fix}; see also `caterpillar doctor`")
         return self._canvas
-
-    def _show(self) -> None:
-        if self._window is None:
-            import glfw
-            from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
-
-            if not glfw.init():
-                raise RenderingError(
-                    f"cannot open a window on display {os.environ.get('DISPLAY', '')!r}; draw with "
-                    'render_mode="rgb_array" instead'
-                )
-            view = self._view
-            self._window = MujocoRenderer(
-                self.model, self._data, width=view.width, height=view.height,
-                camera_name=view.camera_name,
-            )  # fmt: skip
-        self._window.render("human")
 
 
 class Pictures:
@@ -210,25 +181,22 @@ class Pictures:
             renderer = self._renderers[row] = RobotRenderer(body, simulation.physics, self._view)
         return renderer
 
-    def draw(self, row: int, mode: str) -> NDArray[np.uint8] | None:
-        """Draw the current state of a row; see `RobotRenderer.draw`.
-
-        If rendering is not possible on this machine, warn once and return None.
-        """
+    def draw(self, row: int) -> NDArray[np.uint8] | None:
+        """Return an image of a row, or warn once and return None if this machine cannot draw."""
         simulation, rows = self._crawl.simulation, np.array([row])
         now = self._crawl.progress(rows)
         readout = Readout(now.time_s[0], now.distance_m[0], now.energy_j[0], label(now.failure[0]))
         (temperature_c,) = simulation.state(rows).temperature_c
         try:
             return self.renderer(row).draw(
-                simulation.qpos(row), temperature_c, mode, readout if self._overlay else None
+                simulation.qpos(row), temperature_c, readout if self._overlay else None
             )
         except RenderingError as error:
             warn_once(str(error))
             return None
 
     def close(self) -> None:
-        """Release all windows and rendering contexts."""
+        """Release all rendering contexts."""
         for renderer in self._renderers.values():
             renderer.close()
         self._renderers.clear()

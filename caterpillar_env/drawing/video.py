@@ -28,7 +28,6 @@ from caterpillar_env.task import label
 Frame = NDArray[np.uint8]
 
 _SINGLE_PX, _TILE_PX = (640, 480), (480, 360)
-_MIN_TILE_PX = 64
 _GAP_PX = 2  # between tiles
 _USABLE_M = 100.0  # coordinate limit of a drawable pose
 _HOLD_S = 1.0  # duration of the still image at the end
@@ -50,15 +49,15 @@ class VideoConfig:
     """Speed, size and camera of a video.
 
     Raises:
-        CaterpillarError: a value is out of range.
+        CaterpillarError: the speed is not positive.
     """
 
     speed: float = 2.0
     """Simulated seconds per second of video."""
     width: int | None = None
-    """Frame width in pixels, even; by default 640, or 480 per column with several robots."""
+    """Frame width in pixels; by default 640, or 480 per column with several robots."""
     height: int | None = None
-    """Frame height in pixels, even; by default 480, or 360 per row with several robots."""
+    """Frame height in pixels; by default 480, or 360 per row with several robots."""
     camera: Camera = "track"
     """Name of the camera. All cameras follow the robot."""
 
@@ -67,29 +66,13 @@ class VideoConfig:
             raise CaterpillarError(
                 f"speed = {self.speed} must be a positive number of simulated seconds per second"
             )
-        for name in ("width", "height"):
-            pixels = getattr(self, name)
-            if pixels is not None and (pixels % 2 or not _MIN_TILE_PX <= pixels <= 4096):
-                raise CaterpillarError(
-                    f"{name} = {pixels} must be an even number of pixels from {_MIN_TILE_PX} to 4096"
-                )
 
     def layout(self, count: int) -> tuple[int, int, int, int]:
-        """Return the frame width and height, and the number of columns and rows, for `count` tiles.
-
-        Raises:
-            CaterpillarError: the tiles would be too small.
-        """
+        """Return the frame width and height, and the number of columns and rows, for `count` tiles."""
         columns = math.ceil(math.sqrt(count))
         rows = math.ceil(count / columns)
         width, height = _SINGLE_PX if count == 1 else (_TILE_PX[0] * columns, _TILE_PX[1] * rows)
-        width, height = self.width or width, self.height or height
-        if min(width // columns, height // rows) < _MIN_TILE_PX:
-            raise CaterpillarError(
-                f"{count} robots in {width} x {height} pixels would have tiles smaller than "
-                f"{_MIN_TILE_PX} pixels; choose a larger width and height"
-            )
-        return width, height, columns, rows
+        return self.width or width, self.height or height, columns, rows
 
 
 class Recording:
@@ -146,9 +129,7 @@ class Recording:
                 failure if step == last else "ok",
                 self.title,
             )
-            frame = renderer.draw(self.qpos[step], self.temperature_c[step], "rgb_array", readout)
-            assert frame is not None
-            return frame
+            return renderer.draw(self.qpos[step], self.temperature_c[step], readout)
 
         with closing(renderer):
             yield lambda time_s: draw_step(min(max(round(time_s / SMA_STEP_S) - 1, 0), last))
@@ -163,8 +144,8 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
         config: speed, size and camera.
 
     Raises:
-        RenderingError: rendering is not possible on this machine.
-        CaterpillarError: the file type is unknown, the tiles are too small, or writing fails.
+        RenderingError: rendering is not possible on this machine, or not at this size.
+        CaterpillarError: the file type is unknown, or writing fails.
     """
     config = config or VideoConfig()
     check_path(path)
@@ -220,9 +201,7 @@ def check_path(path: Path) -> None:
     """
     if path.suffix not in _ENCODING:
         raise CaterpillarError(f"a video must be an .mp4 or a .gif file; got {path}")
-    folder = path.parent
-    if not folder.is_dir() or not os.access(folder, os.W_OK):
-        reason = "is not writable" if folder.is_dir() else "is not a folder"
+    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
         raise CaterpillarError(
-            f"cannot write {path}: {folder} {reason}; choose a different path with --out"
+            f"cannot write {path}: {path.parent} is no writable folder; choose another with --out"
         )

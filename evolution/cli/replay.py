@@ -62,7 +62,6 @@ def replay_command(argv: Sequence[str]) -> int:
     out = args.out or _default_video(args)
     if args.video:
         check_path(out)
-        args.picture.layout(len(robots))
     recordings, comparisons = [], []
     for title, robot in robots:
         recording = Recording(robot, title, timestep_s=args.timestep_s)

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from caterpillar_env import GaitTimings
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.gait import count_steps, mirror, pair_names, spring_names
+from caterpillar_env.gait import count_steps, pair_names, spring_names
 
 PERIOD_S = 3.0
 TIMES = st.floats(0, PERIOD_S)
@@ -26,10 +26,6 @@ def test_springs_are_named_gap_by_gap_from_the_head():
     assert spring_names(4)[4] == "gap2_dorsal_left"
     assert len(spring_names(4)) == 12
     assert pair_names(3) == ["gap1_dorsal", "gap1_ventral", "gap2_dorsal", "gap2_ventral"]
-
-
-def test_mirror_repeats_the_value_of_each_pair():
-    assert mirror(np.array([[1, 2], [3, 4]])).tolist() == [[1, 1, 2, 2], [3, 3, 4, 4]]
 
 
 def test_mirrored_timings_follow_the_order_of_the_springs():
