@@ -48,7 +48,7 @@ def studied(tmp_path_factory, few_draws):
         (home / "small.toml").write_text(toml)
         with pytest.MonkeyPatch.context() as patch:
             patch.chdir(home)
-            assert cli.main(["study", "small.toml", "--no-winners"]) == 0
+            assert cli.main(["study", "small.toml"]) == 0
         return home / "studies" / "small"
 
     return run

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli
@@ -28,18 +27,15 @@ class ReportArgs:
     """Folder of the run or study."""
     video: bool = True
     """For a run: write best.mp4, unless it already shows the best robot."""
-    winners: bool = True
-    """For a study: simulate the best robot of each arm under other conditions. This takes minutes."""
 
 
 def report_command(argv: Sequence[str]) -> int:
     """Write the figures and the page of a run or a study."""
     args = cli.parse(ReportArgs, argv, "report")
-    console = cli.console()
     if (args.folder / SETTINGS).is_file():
-        write_report(args.folder, console, test_winners=args.winners)
+        write_report(args.folder)
     elif (args.folder / JOURNAL).is_file():
-        write_results(History.read(args.folder), console, video=args.video)
+        write_results(History.read(args.folder), cli.console(), video=args.video)
     else:
         raise CaterpillarError(
             f"{args.folder} contains neither a run ({JOURNAL}) nor a study ({SETTINGS}); give a "
@@ -48,7 +44,7 @@ def report_command(argv: Sequence[str]) -> int:
     return 0
 
 
-def write_report(folder: Path, console: Console, *, test_winners: bool) -> None:
+def write_report(folder: Path) -> None:
     """Write the report of a study, and print its results."""
     from evolution.study import report
     from evolution.study.analysis import analyse, summarize
@@ -62,9 +58,6 @@ def write_report(folder: Path, console: Console, *, test_winners: bool) -> None:
             f"runs {folder}"
         )
     analysis = analyse(config, results, read_thresholds(config, folder, results.table))
-    if test_winners:
-        console.print("simulating the best robots again ...")
-    winners = find_winners(analysis, folder) if test_winners else []
-    page = report.write(analysis, winners, folder)
+    page = report.write(analysis, find_winners(analysis, folder), folder)
     print("\n".join(summarize(analysis)))
     print(f"written: {page}", file=sys.stderr)

@@ -34,8 +34,6 @@ class StudyArgs:
     """local: processes of this machine; ray: a Ray cluster whose machines share the study folder."""
     ray_address: str | None = None
     """Address of a running Ray cluster; by default, a local one is started for the study."""
-    winners: bool = True
-    """Simulate the best robot of each arm under other conditions. This takes minutes."""
 
     def __post_init__(self) -> None:
         if (self.file is None) == (self.preset is None):
@@ -81,5 +79,5 @@ def study_command(argv: Sequence[str]) -> int:
         return 130
     for cell, error in failed:
         console.print(f"{cell} failed: {error}")
-    write_report(folder, console, test_winners=args.winners)
+    write_report(folder)
     return 1 if failed else 0

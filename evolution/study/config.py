@@ -157,7 +157,7 @@ def read_toml(path: Path) -> StudyConfig:
         CaterpillarError: the file is missing, is not TOML, or does not describe a study.
     """
     missing = "give the TOML file of a study, or --preset"
-    return read(path, StudyConfig.from_dict, missing, tomllib.loads, CaterpillarError)
+    return read(path, StudyConfig.from_dict, missing, tomllib.loads)
 
 
 def preset(name: str) -> StudyConfig:
@@ -200,4 +200,4 @@ def load(folder: Path) -> StudyConfig:
         CaterpillarError: the folder contains no study, or the study cannot be read.
     """
     missing = "give a folder that caterpillar study made"
-    return read(folder / SETTINGS, StudyConfig.from_dict, missing, error=CaterpillarError)
+    return read(folder / SETTINGS, StudyConfig.from_dict, missing)

@@ -20,10 +20,7 @@ from evolution.run.history import History
 from evolution.study.config import Cell, StudyConfig
 
 DATA = "evaluations.parquet"  #: name of the file with all evaluations of a study
-_OUTCOME = {
-    "evaluation": polars.Int64, "generation": polars.Int64, "failure": polars.String,
-    "distance_m": polars.Float64, "energy_j": polars.Float64, "simulated_s": polars.Float64,
-}  # fmt: skip
+_OUTCOME = ("evaluation", "generation", "failure", "distance_m", "energy_j", "simulated_s")
 
 
 class Results(NamedTuple):
@@ -82,7 +79,7 @@ def _to_table(cell: Cell, history: History) -> polars.DataFrame:
     return rows.select(
         polars.lit(cell.arm).alias("arm"),
         polars.lit(cell.seed, polars.Int64).alias("seed"),
-        *(polars.col(name).cast(kind) for name, kind in _OUTCOME.items()),
+        polars.col(_OUTCOME),
         polars.col(genes).cast(polars.Float32),
     )
 

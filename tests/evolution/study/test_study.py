@@ -234,9 +234,9 @@ def test_report_can_be_made_again_from_the_table_alone(finished, tmp_path, capsy
     for name in ("study.json", "thresholds.json", DATA):
         (tmp_path / name).write_bytes((finished / name).read_bytes())
     with Journal(Cell("cma-es", 0).folder(finished)):  # as if it were still running
-        assert cli.main(["report", str(finished), "--no-winners"]) == 0
+        assert cli.main(["report", str(finished)]) == 0
     first = capsys.readouterr().out
-    assert cli.main(["report", str(tmp_path), "--no-winners"]) == 0
+    assert cli.main(["report", str(tmp_path)]) == 0
     assert capsys.readouterr().out == first
     assert "cma-es" in first
 
@@ -263,9 +263,7 @@ def test_errors_for_wrong_input_are_one_line(tmp_path, monkeypatch, capsys, argu
     assert err.count("\n") == 1
 
 
-@pytest.mark.slow
 def test_best_robots_are_simulated_again_once(finished, capsys):
-    assert cli.main(["report", str(finished)]) == 0
     rows = json.loads((finished / "winners" / "winners.json").read_text())
     assert set(rows) == set(SMALL["arms"])
     for arm, row in rows.items():
