@@ -159,11 +159,11 @@ class RunConfig:
             return f"all {generations} generations are complete{missed}"
         return None
 
-    def share_done(self, evaluations: int, simulated_s: float) -> float:
-        """Return the completed share, in [0, 1], of the budget or, without one, of the genomes."""
+    def share_done(self, generations: int, simulated_s: float) -> float:
+        """Return the completed share, in [0, 1], of the budget or, without one, of the generations."""
         if self.budget_s is not None:
             return min(simulated_s / self.budget_s, 1.0)
-        return min(evaluations / self.evaluations(), 1.0)
+        return generations / self.generations
 
 
 #: Optional limits that end a run early.

@@ -51,8 +51,6 @@ class ReplayArgs:
                 "--generations takes one run folder and numbers from 0; got "
                 f"{' '.join(map(str, self.source))} and {' '.join(map(str, self.generations))}"
             )
-        if self.out is not None and not self.video:
-            raise CaterpillarError("--out contradicts --no-video: remove one of them")
 
 
 def replay_command(argv: Sequence[str]) -> int:

@@ -76,18 +76,12 @@ class Reporter:
 
     def generation(self, generation: Generation) -> None:
         """Report a completed generation."""
-        done = self._config.share_done(generation.evaluations, generation.simulated_s)
-        left = self._config.generations - generation.number - 1
-        # A budget does not fix the number of generations: assume that the next one is like this one.
-        even = (1.0 - done) / left if left else 0.0
-        self._step = even if self._config.budget_s is None else done - self._done
-        self._done = done
+        done = self._config.share_done(generation.number + 1, generation.simulated_s)
+        self._step, self._done = done - self._done, done  # the next generation may be like this one
         following = f"generation {generation.number + 1}"
         if generation.replayed:  # replayed generations are excluded from the time left
-            self._bar.reset(self._task, description=following)
-            self._bar.update(self._task, completed=done)
-        else:
-            self._bar.update(self._task, completed=done, description=following)
+            self._bar.reset(self._task)
+        self._bar.update(self._task, completed=done, description=following)
         failures = ", ".join(f"{n} {name}" for name, n in generation.failures.items() if n) or "none"
         line = (
             f"generation {generation.number:3d}  best {1000 * generation.best_m:6.1f} mm  "

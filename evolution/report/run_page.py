@@ -6,7 +6,7 @@ import json
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from datetime import timedelta
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,13 +18,12 @@ from caterpillar_env.task import EPISODE_S, Failure
 from caterpillar_env.validation.gaits import measure_gait
 from evolution.config import OPTIMIZERS, PRIORS, RunConfig
 from evolution.genome import gene_values
-from evolution.priors.preprocessor import paper_priors
+from evolution.priors.distributions import ClippedGaussian
 from evolution.report import figures as draw
 from evolution.report.page import PageError, data_url, render
 from evolution.run.history import History
 
 PAGE = "report.html"
-LARGEST_VIDEO_BYTES = 16 * 2**20
 
 
 class GeneRow(NamedTuple):
@@ -82,15 +81,13 @@ def page(history: History, figures: Mapping[str, str]) -> str:
     evaluations, sessions, own = history.evaluations, history.sessions, history.own_optimizer
     reasons = Counter(e.failure.label for e in evaluations)
     per_session = Counter(e.session for e in evaluations)
-    wall_s = [s.wall_s for s in sessions if s.wall_s is not None]
-    video, no_video = _embed_video(history)
-    commands = _commands(history)
+    commands = next_commands(history, shlex.quote(history.folder.resolve().name))
     return render(
         "run.html",
-        {"mm": lambda m: f"{1000 * m:,.1f}", "duration": _format_duration},
+        {"mm": lambda m: f"{1000 * m:,.1f}", "duration": lambda s: str(timedelta(seconds=s))},
         name=history.folder.resolve().name,
         commands=commands,
-        width=max(len(command) for command, _ in commands),
+        width=max((len(command) for command, _ in commands), default=0),
         config=config,
         own=own,
         optimizer=f"the user's own optimizer {own}" if own else OPTIMIZERS[config.optimizer],
@@ -107,14 +104,11 @@ def page(history: History, figures: Mapping[str, str]) -> str:
         failures=[(f.label, reasons[f.label]) for f in Failure if reasons[f.label]],
         simulated_s=sum(e.simulated_s for e in evaluations),
         sessions=[(session, per_session[session.number]) for session in sessions],
-        wall_s=sum(wall_s),
-        unknown_ends=len(sessions) - len(wall_s),
         episode_s=EPISODE_S,
         best=history.best,
         gait=None if best is None else measure_gait(best),
         figures=figures,
-        video=video,
-        no_video=no_video,
+        video=_embed_video(history),
         version=version("caterpillar-sma"),
     )
 
@@ -127,15 +121,12 @@ def gene_rows(history: History) -> list[GeneRow]:
     distributions = config.distributions("mutation" if config.prior == "mutation-only" else "init")
     (values,) = gene_values([best.morphology], best.gaits).tolist()
     rows = []
-    for prior, distribution, value in zip(
-        paper_priors(config.encoding), distributions, values, strict=True
-    ):
-        gene, (factor, unit) = prior.gene, prior.gene.shown
-        numbers = replace(prior, distribution=distribution).to_dict()
-        peak, width = (
-            None if numbers[name] is None else factor * float(numbers[name] or 0.0)
-            for name in ("mu", "sigma")
-        )
+    for gene, prior, value in zip(config.encoding.genes, distributions, values, strict=True):
+        factor, unit = gene.shown
+        peak = width = None
+        if isinstance(prior, ClippedGaussian):
+            span = gene.upper - gene.lower
+            peak, width = factor * (gene.lower + prior.mu * span), factor * prior.sigma * span
         bounds = factor * gene.lower, factor * gene.upper
         rows.append(GeneRow(gene.title, unit, factor * value, *bounds, peak, width))
     return rows
@@ -179,41 +170,9 @@ def next_commands(history: History, folder: str) -> list[tuple[str, str]]:
     return commands
 
 
-def _commands(history: History) -> list[tuple[str, str]]:
-    """Return all commands of the page, each with its purpose."""
-    name = shlex.quote(history.folder.resolve().name)
-    commands = next_commands(history, name)
-    if history.best is not None:
-        commands += [
-            (f"caterpillar replay {name} --timestep-s 0.0005", "check it at a finer timestep"),
-            (f"caterpillar replay {name} --generations 0 5 10 25 50", "film its evolution"),
-        ]
-    return [
-        *commands,
-        (f"caterpillar export {name}", "export all evaluations as a table"),
-        (f"caterpillar report {name}", "write this page again"),
-    ]
-
-
-def _embed_video(history: History) -> tuple[str | None, str]:
-    """Return the video as a data URL, or None and the reason why there is none."""
+def _embed_video(history: History) -> str | None:
+    """Return the video of the best robot as a data URL, or None if there is none."""
     path, best = history.folder / "best.mp4", history.best_robot
-    again = f"caterpillar report {shlex.quote(history.folder.resolve().name)}"
-    if best is None:
-        return None, "There is no robot to film."
-    if not path.exists():
-        return None, f"There is no best.mp4. {again} makes it on a machine that can draw."
-    if not is_video_of(path, best):
-        return None, f"best.mp4 shows another robot. {again} makes a new one."
-    size = path.stat().st_size
-    if size > LARGEST_VIDEO_BYTES:
-        return None, f"See best.mp4 beside this page; it is too large to embed ({size / 2**20:.0f} MiB)."
-    return data_url("video/mp4", path.read_bytes()), ""
-
-
-def _format_duration(seconds: float) -> str:
-    minutes, seconds = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    if hours:
-        return f"{hours} h {minutes} min"
-    return f"{minutes} min {seconds} s" if minutes else f"{seconds} s"
+    if best is None or not path.exists() or not is_video_of(path, best):
+        return None
+    return data_url("video/mp4", path.read_bytes())

@@ -14,7 +14,6 @@ from typing import IO, Any
 from caterpillar_env.errors import CaterpillarError
 
 _LOCK_ATTEMPTS, _LOCK_WAIT_S = 10, 0.05
-_BUSY_S = 60.0  # how long to wait for another connection to finish reading
 
 
 class JournalError(CaterpillarError):
@@ -37,32 +36,16 @@ def is_in_use(folder: Path) -> bool:
     return False
 
 
-def connect(path: Path, *, read_only: bool) -> sqlite3.Connection:
-    """Open an SQLite file. Committed rows survive a crash of the machine."""
-    db = sqlite3.connect(path, timeout=_BUSY_S)
-    try:
-        if not read_only:
-            db.execute("PRAGMA journal_mode = DELETE")  # a write-ahead log fails on network file systems
-            db.execute("PRAGMA synchronous = FULL")
-    except sqlite3.DatabaseError as error:
-        db.close()
-        if "malformed" in str(error) or "not a database" in str(error):
-            raise damaged(path, str(error)) from None
-        raise JournalError(f"cannot open {path}: {error}") from None
-    return db
-
-
 def lock(folder: Path) -> IO[str]:
     """Lock a folder until the file is closed or the process ends."""
     with explain_errors(folder / ".lock"):
         file = (folder / ".lock").open("w", encoding="utf-8")
-    for attempt in range(_LOCK_ATTEMPTS):  # `is_in_use` holds the lock briefly
+    for _ in range(_LOCK_ATTEMPTS):  # `is_in_use` holds the lock briefly
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return file
         except OSError:
-            if attempt < _LOCK_ATTEMPTS - 1:
-                time.sleep(_LOCK_WAIT_S)
+            time.sleep(_LOCK_WAIT_S)
     file.close()
     raise JournalError(f"another process is working on {folder}; wait until it ends, or stop it")
 
@@ -77,7 +60,7 @@ def damaged(path: Path, why: str) -> JournalDamagedError:
 
 @contextmanager
 def explain_errors(path: Path) -> Iterator[None]:
-    """Convert SQLite and file system errors to a `JournalError`."""
+    """Convert SQLite and file system errors to a `JournalError`, and damage to `JournalDamagedError`."""
     try:
         yield
     except (sqlite3.OperationalError, OSError) as error:
@@ -85,6 +68,8 @@ def explain_errors(path: Path) -> Iterator[None]:
             f"cannot read or write {path}: {error} (is the disk full?). Recorded evaluations are safe; "
             f"free some space and run `caterpillar resume {path.parent}`"
         ) from None
+    except sqlite3.DatabaseError as error:
+        raise damaged(path, str(error)) from None
 
 
 def digest(values: Sequence[Any]) -> bytes:

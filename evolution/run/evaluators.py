@@ -25,7 +25,7 @@ OnProgress = Callable[[float], None]  #: called with the share that is evaluated
 
 
 class EvaluationError(CaterpillarError):
-    """An evaluation raised an exception, or the evaluator cannot be used."""
+    """Ray is not installed, or its cluster cannot be reached."""
 
 
 class Evaluator(Protocol):
@@ -77,29 +77,6 @@ def evaluate(
     )  # fmt: skip
 
 
-def evaluate_chunk(genomes: Array, encoding: Encoding, **kwargs: Any) -> Outcomes:
-    """Evaluate genomes (P, n), and name the genome that causes an exception.
-
-    Raises:
-        EvaluationError: an evaluation raised an exception.
-    """
-    try:
-        return evaluate(genomes, encoding, **kwargs)
-    except Exception as error:
-        for genome in genomes:
-            try:
-                evaluate(genome[None], encoding, threads=1)
-            except Exception as cause:
-                raise EvaluationError(
-                    f"evaluating a genome failed with {type(cause).__name__}: {cause}. The genome was "
-                    f"{genome.tolist()}"
-                ) from cause
-        raise EvaluationError(
-            f"evaluating {len(genomes)} genomes together failed with {type(error).__name__}: {error}; "
-            "none of them fails alone"
-        ) from error
-
-
 class LocalEvaluator(Evaluator):
     """Evaluates on threads of this process.
 
@@ -115,7 +92,7 @@ class LocalEvaluator(Evaluator):
     ) -> Iterator[Outcomes]:
         """See `Evaluator.map`."""
         for chunk in chunks:
-            yield evaluate_chunk(chunk, encoding, threads=self._threads, on_progress=on_progress)
+            yield evaluate(chunk, encoding, threads=self._threads, on_progress=on_progress)
 
 
 class RayEvaluator(Evaluator):
@@ -147,7 +124,7 @@ class RayEvaluator(Evaluator):
         import ray
 
         # One thread per task, as many tasks as cores. Ray restarts the task of a lost worker.
-        remote = ray.remote(num_cpus=1, max_retries=-1)(evaluate_chunk)
+        remote = ray.remote(num_cpus=1, max_retries=-1)(evaluate)
         shared = ray.put(encoding)
         pending = [remote.remote(chunk, shared, threads=1) for chunk in chunks]
         try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -21,7 +20,7 @@ from evolution.config import RunConfig
 from evolution.genome import gene_values
 from evolution.run.journal import Journal
 from evolution.run.objective import OBJECTIVES, Objective, distance, find_best, score
-from evolution.run.records import Completion, Evaluation, to_outcomes
+from evolution.run.records import Completion, Evaluation
 
 if TYPE_CHECKING:
     import polars
@@ -40,7 +39,6 @@ class Generation(NamedTuple):
     failures: dict[str, int]  #: number of genomes of this generation that failed, by failure
     evaluations: int  #: number of evaluations of the run so far
     simulated_s: float  #: simulated time of the run so far, s
-    elapsed_s: float  #: wall time since this session began
     replayed: bool = False  #: whether all of its evaluations were in the journal already
     farthest_m: float = 0.0  #: largest distance so far of a robot that did not fail
 
@@ -58,17 +56,14 @@ class History:
 
     def __init__(self, journal: Journal, objective: Objective | None = None) -> None:
         self._journal, self._objective = journal, objective
-        self._started = time.monotonic()
         self.folder = journal.path.parent
         self.configuration = journal.configuration
         self.sessions = journal.sessions
-        self.finished = journal.finished
         # Before the evaluations, because another process may complete a generation meanwhile.
         self._completions = journal.generations()
         self.evaluations: list[Evaluation] = list(journal.evaluations())
         self.generations: list[Generation] = []
         self.best: Evaluation | None = None  #: the best evaluation so far, see `objective.find_best`
-        self._best_objective = -np.inf
 
     @classmethod
     def read(cls, folder: Path | str) -> History:
@@ -90,6 +85,18 @@ class History:
     def kind(self) -> str:
         """The kind of run: "evolution", or "training" by reinforcement learning."""
         return str(self.configuration.get("kind", "evolution"))
+
+    @cached_property
+    def objective(self) -> Objective:
+        """The objective that defines the best robot: the user's own, the configured one or distance."""
+        if self._objective is not None:
+            return self._objective
+        return OBJECTIVES[self.config.objective] if self.kind == "evolution" else distance
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run ended in its last session."""
+        return bool(self.sessions) and self.sessions[-1].finished is not None
 
     @cached_property
     def config(self) -> RunConfig:
@@ -114,7 +121,7 @@ class History:
     def begin(self, packages: Sequence[str] = ()) -> None:
         """Begin a session, see `Journal.begin`."""
         self._journal.begin(packages)
-        self._started, self.sessions = time.monotonic(), self._journal.sessions
+        self.sessions = self._journal.sessions
 
     @property
     def own_optimizer(self) -> str | None:
@@ -154,7 +161,7 @@ class History:
 
     def robot(self, evaluation: Evaluation) -> Robot:
         """Return the robot of an evaluation, with its recorded results."""
-        fitness_m = float(to_outcomes([evaluation]).fitness()[0])
+        fitness_m = float(_to_outcomes([evaluation]).fitness()[0])
         return self.config.encoding.robot(
             evaluation.genome, fitness_m=fitness_m, generation=evaluation.generation,
             evaluation=evaluation.number,
@@ -174,11 +181,9 @@ class History:
                 f"`caterpillar resume {self.folder}`"
             )
         leaders = []
-        for generation in self.generations:
-            best = self._completions[generation.number].best
+        for _, end, best, _ in self._completions[: len(self.generations)]:
             if best is None:
-                known = self.evaluations[: generation.evaluations]
-                leader = max(known, key=lambda e: e.distance_m)
+                leader = max(self.evaluations[:end], key=lambda e: e.distance_m)
             else:
                 leader = self.evaluations[best]
             leaders.append(self.robot(leader))
@@ -192,10 +197,10 @@ class History:
         import polars
 
         names, values = self._gene_values()
-        outcomes = to_outcomes(self.evaluations)
+        outcomes = _to_outcomes(self.evaluations)
         fitness: Any = [None] * len(self.evaluations)
         if self.kind == "evolution" and self.own_objective is None:
-            fitness = score(OBJECTIVES[self.config.objective], outcomes, self.config.failed_fitness)
+            fitness = score(self.objective, outcomes, self.config.failed_fitness)
         columns: dict[str, Any] = {
             "evaluation": np.array([e.number for e in self.evaluations], dtype=np.int64),
             "generation": np.array([e.generation for e in self.evaluations], dtype=np.int64),
@@ -238,17 +243,14 @@ class History:
 
     def append(self, genomes: Array, outcomes: Outcomes) -> None:
         """Record evaluations of the next generation: genomes (P, n) in [0, 1] and their outcomes."""
-        first, generation = len(self.evaluations), len(self.generations)
+        first, generation, session = len(self.evaluations), len(self.generations), len(self.sessions)
         columns = (column.tolist() for column in outcomes)
         rows = [
-            Evaluation(
-                first + i, generation, genome, Failure(failure), distance_m, energy_j, simulated_s, 0
-            )
-            for i, (genome, failure, distance_m, energy_j, simulated_s) in enumerate(
-                zip(genomes, *columns, strict=True)
-            )
+            Evaluation._make((first + i, generation, genome, Failure(failure), *values, session))
+            for i, (genome, failure, *values) in enumerate(zip(genomes, *columns, strict=True))
         ]
-        self.evaluations += self._journal.append(rows)
+        self._journal.append(rows)
+        self.evaluations += rows
 
     def complete(self, *, replayed: bool = False) -> Outcomes:
         """Complete the next generation, and return the outcomes of its genomes.
@@ -272,7 +274,7 @@ class History:
     def finish(self) -> None:
         """Record that the run has ended."""
         self._journal.finish()
-        self.finished, self.sessions = True, self._journal.sessions
+        self.sessions = self._journal.sessions
 
     def _next_rows(self) -> list[Evaluation]:
         """Return the known evaluations of the next generation."""
@@ -280,31 +282,24 @@ class History:
         number = len(self.generations)
         return list(takewhile(lambda e: e.generation == number, self.evaluations[first:]))
 
-    def _find_completion(self, rows: Sequence[Evaluation]) -> Completion:
+    def _find_completion(self, rows: Sequence[Evaluation], outcomes: Outcomes) -> Completion:
         """Return the completion of the next generation, given all of its evaluations."""
-        objective = self._objective or distance
-        if self._objective is None and self.kind == "evolution":
-            objective = OBJECTIVES[self.config.objective]
-        best, value = self.best, self._best_objective
-        found = find_best(objective, to_outcomes(rows))
-        if found is not None and found[1] > value:
-            best, value = rows[found[0]], found[1]
-        end = rows[-1].number + 1
-        if best is None:
-            return Completion(len(self.generations), end, None, None)
-        return Completion(len(self.generations), end, best.number, value)
+        number, end = len(self.generations), rows[-1].number + 1
+        best, objective = self._completions[-1][2:] if self._completions else (None, None)
+        found = find_best(self.objective, outcomes)
+        if found is not None and (objective is None or found[1] > objective):
+            best, objective = rows[found[0]].number, found[1]
+        return Completion(number, end, best, objective)
 
     def _advance(self, *, replayed: bool) -> Outcomes:
         """Summarize the next generation, and return its outcomes."""
-        number = len(self.generations)
-        rows = self._next_rows()
+        number, rows = len(self.generations), self._next_rows()
+        outcomes = _to_outcomes(rows)
         if number == len(self._completions):
-            self._completions.append(self._find_completion(rows))
+            self._completions.append(self._find_completion(rows, outcomes))
         completion = self._completions[number]
-        if completion.best is not None and completion.objective is not None:
+        if completion.best is not None:
             self.best = self.evaluations[completion.best]
-            self._best_objective = completion.objective
-        outcomes = to_outcomes(rows)
         crawled_m = outcomes.fitness()
         counts = np.bincount(outcomes.failure, minlength=len(Failure))
         self.generations.append(
@@ -315,12 +310,21 @@ class History:
                 failures={f.label: int(counts[f]) for f in Failure if f is not Failure.NONE},
                 evaluations=completion.evaluations,
                 simulated_s=self.simulated_s + float(outcomes.simulated_s.sum()),
-                elapsed_s=time.monotonic() - self._started,
                 replayed=replayed,
                 farthest_m=max(self.farthest_m, float(crawled_m.max())),
             )
         )
         return outcomes
+
+
+def _to_outcomes(evaluations: Sequence[Evaluation]) -> Outcomes:
+    """Return the outcomes of P recorded evaluations as arrays of shape (P,)."""
+    return Outcomes(
+        np.array([e.failure for e in evaluations], dtype=np.int8),
+        np.array([e.distance_m for e in evaluations], dtype=np.float64),
+        np.array([e.energy_j for e in evaluations], dtype=np.float64),
+        np.array([e.simulated_s for e in evaluations], dtype=np.float64),
+    )
 
 
 load = History.read

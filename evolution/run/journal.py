@@ -17,20 +17,22 @@ import json
 import os
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from caterpillar_env.files import unused
-from caterpillar_env.task import Failure, label
-from evolution.run.database import JournalError, connect, damaged, digest, explain_errors, lock
+from caterpillar_env.task import Failure
+from evolution.run.database import JournalError, damaged, digest, explain_errors, lock
 from evolution.run.records import Completion, Evaluation, Session, fingerprint
 
 FILE = "journal.sqlite"
 SCHEMA = 2  #: schema 1 had no table `generations`
 _APPLICATION = 0x43415450  # "CATP"
+_BUSY_S = 60.0  # how long to wait for another connection to finish reading
+_FAILURES = {failure.label: failure for failure in Failure}
 
 _GENERATIONS = """
 CREATE TABLE generations (
@@ -78,14 +80,19 @@ class Journal:
 
     def __init__(self, folder: Path, *, read_only: bool = False) -> None:
         self.path = _find(folder)
-        self._session = 0
+        self._schema = SCHEMA
         with ExitStack() as stack:
             if not read_only:
                 stack.enter_context(lock(folder))
-            self._db = stack.enter_context(closing(connect(self.path, read_only=read_only)))
-            self._check()
-            if not read_only and self._schema == 1:
-                self._upgrade()
+            self._db = stack.enter_context(closing(sqlite3.connect(self.path, timeout=_BUSY_S)))
+            with explain_errors(self.path):
+                if not read_only:
+                    self._db.execute("PRAGMA journal_mode = DELETE")  # works on network file systems
+                    self._db.execute("PRAGMA synchronous = FULL")  # rows survive a crash of the machine
+                self._check()
+                if not read_only and self._schema == 1:
+                    self._db.executescript(f"BEGIN; PRAGMA user_version = 2; {_GENERATIONS} COMMIT;")
+                    self._schema = SCHEMA
             self._resources = stack.pop_all()
 
     @classmethod
@@ -121,12 +128,9 @@ class Journal:
         self._resources.close()
 
     def _check(self) -> None:
-        try:
-            (application,) = self._db.execute("PRAGMA application_id").fetchone()
-            (self._schema,) = self._db.execute("PRAGMA user_version").fetchone()
-            problems = [row[0] for row in self._db.execute("PRAGMA quick_check(3)")]
-        except sqlite3.DatabaseError as error:
-            raise damaged(self.path, str(error)) from None
+        (application,) = self._db.execute("PRAGMA application_id").fetchone()
+        (self._schema,) = self._db.execute("PRAGMA user_version").fetchone()
+        problems = [problem for (problem,) in self._db.execute("PRAGMA quick_check(3)")]
         if application != _APPLICATION:
             raise JournalError(
                 f"{self.path} is an SQLite file of another program; give a folder that caterpillar made"
@@ -138,89 +142,77 @@ class Journal:
             )
         if problems != ["ok"]:
             raise damaged(self.path, "; ".join(problems))
-        for _ in self.evaluations():
-            pass
 
-    def _upgrade(self) -> None:
-        with explain_errors(self.path):
-            self._db.executescript(f"BEGIN; PRAGMA user_version = {SCHEMA}; {_GENERATIONS} COMMIT;")
-        self._schema = SCHEMA
+    def _execute(self, statement: str, *values: Any) -> list[Any]:
+        """Run a statement in a transaction, and return its rows."""
+        with explain_errors(self.path), self._db:
+            return self._db.execute(statement, values).fetchall()
 
     @property
     def configuration(self) -> dict[str, Any]:
         """The configuration of the run, as given to `create` or `configure`."""
-        with explain_errors(self.path):
-            (text,) = self._db.execute("SELECT configuration FROM run").fetchone()
+        ((text,),) = self._execute("SELECT configuration FROM run")
         data: dict[str, Any] = json.loads(text)
         return data
 
     def configure(self, configuration: Mapping[str, Any]) -> None:
         """Replace the configuration, for example by one with more generations."""
-        with explain_errors(self.path), self._db:
-            self._db.execute("UPDATE run SET configuration = ?", [json.dumps(configuration)])
+        self._execute("UPDATE run SET configuration = ?", json.dumps(configuration))
 
     @property
     def sessions(self) -> list[Session]:
         """All sessions, in order."""
-        with explain_errors(self.path):
-            rows = self._db.execute(
-                "SELECT session, started, finished, fingerprint FROM sessions ORDER BY session"
-            ).fetchall()
+        rows = self._execute(
+            "SELECT session, started, finished, fingerprint FROM sessions ORDER BY session"
+        )
         return [Session(n, start, end, json.loads(text)) for n, start, end, text in rows]
 
     def begin(self, packages: Sequence[str] = ()) -> None:
-        """Begin a session. Later evaluations belong to it.
+        """Begin a session.
 
         Args:
             packages: names of packages whose versions to record besides those of `fingerprint`.
         """
-        with explain_errors(self.path), self._db:
-            row = self._db.execute(
-                "INSERT INTO sessions (started, fingerprint) VALUES (datetime('now'), ?)",
-                [json.dumps(fingerprint(packages))],
-            )
-        self._session = row.lastrowid or 0
+        self._execute(
+            "INSERT INTO sessions (started, fingerprint) VALUES (datetime('now'), ?)",
+            json.dumps(fingerprint(packages)),
+        )
 
     def finish(self) -> None:
-        """Record that the run ended in this session."""
-        with explain_errors(self.path), self._db:
-            self._db.execute(
-                "UPDATE sessions SET finished = datetime('now') WHERE session = ?", [self._session]
-            )
+        """Record that the run ended in its last session."""
+        self._execute(
+            "UPDATE sessions SET finished = datetime('now') "
+            "WHERE session = (SELECT max(session) FROM sessions)"
+        )
 
-    @property
-    def finished(self) -> bool:
-        """Whether the run ended in its last session."""
-        return any(s.finished is not None for s in self.sessions[-1:])
-
-    def append(self, evaluations: Sequence[Evaluation]) -> list[Evaluation]:
-        """Add evaluations in one transaction, and return them with their session.
+    def append(self, evaluations: Sequence[Evaluation]) -> None:
+        """Add evaluations in one transaction.
 
         Raises:
             JournalError: the file cannot be written, for example because the disk is full; the journal
                 is unchanged.
         """
-        added = [e._replace(session=self._session) for e in evaluations]
-        rows = []
-        for e in added:
-            genome = np.asarray(e.genome, dtype="<f8").tobytes()
-            values = (
-                e.number, e.generation, genome, label(e.failure), float(e.distance_m),
-                float(e.energy_j), float(e.simulated_s), e.session,
-            )  # fmt: skip
-            rows.append((*values, digest(values)))
-        self._insert("evaluations", rows)
-        return added
+        self._insert(
+            "evaluations",
+            [
+                (
+                    e.number, e.generation, np.asarray(e.genome, dtype="<f8").tobytes(),
+                    e.failure.label, e.distance_m, e.energy_j, e.simulated_s, e.session,
+                )
+                for e in evaluations
+            ],
+        )  # fmt: skip
 
     def complete(self, completion: Completion) -> None:
         """Record the completion of a generation."""
-        self._insert("generations", [(*completion, digest(completion))])
+        self._insert("generations", [completion])
 
     def _insert(self, table: str, rows: Sequence[Sequence[Any]]) -> None:
-        if rows:
-            with explain_errors(self.path), self._db:
-                places = ", ".join("?" * len(rows[0]))
-                self._db.executemany(f"INSERT INTO {table} VALUES ({places})", rows)
+        """Add rows, with their digests."""
+        with explain_errors(self.path), self._db:
+            for row in rows:
+                places = ", ".join("?" * len(row))
+                self._db.execute(f"INSERT INTO {table} VALUES ({places}, ?)", (*row, digest(row)))
 
     def evaluations(self) -> Iterator[Evaluation]:
         """Yield all evaluations, in order.
@@ -271,37 +263,34 @@ class Journal:
             JournalError: the configuration cannot be read.
         """
         path = _find(folder)
-        kept: list[tuple[Any, ...]] = []
+        kept: list[list[Any]] = []
         with closing(lock(folder)):
             try:
                 with closing(sqlite3.connect(path)) as db:
                     db.execute("PRAGMA writable_schema = ON")  # reads a truncated file too
                     (configuration,) = db.execute("SELECT configuration FROM run").fetchone()
-                    sessions = db.execute("SELECT * FROM sessions ORDER BY session").fetchall()
+                    sessions = db.execute("SELECT * FROM sessions").fetchall()
                     settings = json.loads(configuration)
-                    try:
-                        for row in db.execute("SELECT * FROM evaluations ORDER BY evaluation"):
-                            if row[0] != len(kept) or row[-1] != digest(row[:-1]):
+                    rows = db.execute("SELECT * FROM evaluations ORDER BY evaluation")
+                    with suppress(sqlite3.DatabaseError):  # the damage begins here
+                        for *values, stored in rows:
+                            if values[0] != len(kept) or stored != digest(values):
                                 break
-                            kept.append(row)
-                    except sqlite3.DatabaseError:
-                        pass  # the damage begins here
-                damaged_file = unused(folder, f"{FILE}.damaged")
-                for suffix in ("", "-wal", "-shm", "-journal"):
-                    old = path.with_name(FILE + suffix)
-                    if old.exists():
-                        old.replace(f"{damaged_file}{suffix}")
+                            kept.append(values)
             except (sqlite3.DatabaseError, TypeError, ValueError):
                 raise JournalError(
                     f"the configuration in {path} is damaged: nothing can be kept; start a new run"
                 ) from None
+            damaged_file = unused(folder, f"{FILE}.damaged")
+            for suffix in ("", "-wal", "-shm", "-journal"):
+                old = path.with_name(FILE + suffix)
+                if old.exists():
+                    old.replace(f"{damaged_file}{suffix}")
         with cls.create(folder, settings) as journal:
-            journal._insert("sessions", sessions)
+            with journal._db:
+                journal._db.executemany("INSERT INTO sessions VALUES (?, ?, ?, ?)", sessions)
             journal._insert("evaluations", kept)
         return len(kept)
-
-
-_FAILURES = {failure.label: failure for failure in Failure}
 
 
 def _find(folder: Path) -> Path:

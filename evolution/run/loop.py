@@ -6,20 +6,19 @@ those evaluated before come from the journal.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.files import make_folder
-from caterpillar_env.robot import Outcomes
 from evolution.config import RunConfig
 from evolution.optimizers.base import Optimizer
 from evolution.run.evaluators import CHUNK, Evaluator, LocalEvaluator, OnProgress
 from evolution.run.history import Generation, History, RunError
 from evolution.run.journal import Journal
-from evolution.run.objective import OBJECTIVES, Objective, score
+from evolution.run.objective import Objective, score
 from evolution.run.records import fingerprint
 
 
@@ -57,7 +56,7 @@ def evolve(
         CaterpillarError: the folder is not empty or cannot be written.
         GenomeError: the optimizer proposed an invalid genome.
         ObjectiveError: your own objective returned an array of the wrong shape, or non-finite values.
-        EvaluationError: an evaluation raised an exception.
+        EvaluationError: the evaluator cannot be used.
     """
     folder = Path(folder)
     own = {"own_optimizer": _name(optimizer), "own_objective": _name(objective)}
@@ -66,7 +65,7 @@ def evolve(
         make_folder(folder, f", or continue the run in it with `caterpillar resume {folder}`")
         with Journal.create(folder, config.to_dict() | own) as journal:
             history = History(journal, objective)
-            return _run(history, optimizer, objective, workers, on_generation, on_progress)
+            return _run(history, optimizer, workers, on_generation, on_progress)
 
 
 def resume(
@@ -120,43 +119,37 @@ def resume(
         with evaluator or LocalEvaluator() as workers:
             if generations is not None:  # only once the evaluator is available
                 history.configure(replace(history.config, generations=generations))
-            return _run(history, optimizer, objective, workers, on_generation, on_progress)
+            return _run(history, optimizer, workers, on_generation, on_progress)
 
 
 def _run(
     history: History,
     optimizer: Optimizer,
-    objective: Objective | None,
     evaluator: Evaluator,
     on_generation: Callable[[Generation], None] | None,
     on_progress: OnProgress | None,
 ) -> History:
     config = history.config
-    objective = objective or OBJECTIVES[config.objective]
     history.begin()
     try:
         while history.ending() is None:
             genomes = config.encoding.check(optimizer.ask())
             known = history.replay(genomes)
-            done = known
-            for outcomes in _evaluate(evaluator, config, genomes[known:], on_progress):
-                count = len(outcomes.failure)
-                history.append(genomes[done : done + count], outcomes)
-                done += count
+            _evaluate(history, genomes[known:], evaluator, on_progress)
             outcomes = history.complete(replayed=known == len(genomes))
-            optimizer.tell(genomes, score(objective, outcomes, config.failed_fitness))
+            optimizer.tell(genomes, score(history.objective, outcomes, config.failed_fitness))
             if on_generation is not None:
                 on_generation(history.generations[-1])
         history.finish()
     except KeyboardInterrupt:
-        history.finished = False
+        pass
     return history
 
 
 def _evaluate(
-    evaluator: Evaluator, config: RunConfig, genomes: Array, on_progress: OnProgress | None
-) -> Iterator[Outcomes]:
-    """Yield the outcomes of genomes (P, n), one chunk at a time."""
+    history: History, genomes: Array, evaluator: Evaluator, on_progress: OnProgress | None
+) -> None:
+    """Evaluate and record genomes (P, n), one chunk at a time."""
     chunks = [genomes[i : i + CHUNK] for i in range(0, len(genomes), CHUNK)]
     done = 0
 
@@ -164,9 +157,10 @@ def _evaluate(
         if on_progress is not None:
             on_progress((done + share * min(CHUNK, len(genomes) - done)) / len(genomes))
 
-    for outcomes in evaluator.map(config.encoding, chunks, report) if chunks else ():
-        yield outcomes
-        done += len(outcomes.failure)
+    results = evaluator.map(history.config.encoding, chunks, report)
+    for chunk, outcomes in zip(chunks, results, strict=True):
+        history.append(chunk, outcomes)
+        done += len(chunk)
 
 
 def _name(part: Any) -> str | None:

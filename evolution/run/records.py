@@ -8,10 +8,7 @@ from datetime import datetime
 from importlib.metadata import version
 from typing import NamedTuple
 
-import numpy as np
-
 from caterpillar_env.arrays import Array
-from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure
 
 _PACKAGES = ("caterpillar-sma", "mujoco", "numpy", "scipy", "cma")
@@ -57,20 +54,6 @@ class Session(NamedTuple):
 
 
 def fingerprint(packages: Sequence[str] = ()) -> dict[str, str]:
-    """Return the versions and the machine type that results depend on.
-
-    Args:
-        packages: names of additional packages.
-    """
+    """Return the versions, also of additional packages, and the machine type that results depend on."""
     versions = {name: version(name) for name in (*_PACKAGES, *packages)}
     return versions | {"python": platform.python_version(), "machine": platform.machine()}
-
-
-def to_outcomes(evaluations: Sequence[Evaluation]) -> Outcomes:
-    """Return the outcomes of P recorded evaluations as arrays of shape (P,)."""
-    return Outcomes(
-        np.array([e.failure for e in evaluations], dtype=np.int8),
-        np.array([e.distance_m for e in evaluations], dtype=np.float64),
-        np.array([e.energy_j for e in evaluations], dtype=np.float64),
-        np.array([e.simulated_s for e in evaluations], dtype=np.float64),
-    )

@@ -150,7 +150,6 @@ def test_last_generation_shows_the_best_robot_of_the_run(run, here, capsys):
     [
         ([], "give one or more run folders"),
         (["still.json", "--out", "robot.avi"], "must be an .mp4 or a .gif file; got robot.avi"),
-        (["still.json", "--out", "a.mp4", "--no-video"], "--out contradicts --no-video"),
         (["still.json", "--speed", "0"], "speed = 0.0 must be a positive number"),
         (["still.json", "--width", "99"], "width = 99 must be an even number"),
         (["still.json", "--camera", "front"], "--camera"),

@@ -23,7 +23,7 @@ REASONS = ("diverged", "flipped", "tipped", "jumped", "veered", "sagged")
 
 def generation(number, best_m=0.01, mean_m=0.005, **failures):
     return Generation(
-        number, best_m, mean_m, {r: failures.get(r, 0) for r in REASONS}, 10 * (number + 1), 300.0, 1.0
+        number, best_m, mean_m, {r: failures.get(r, 0) for r in REASONS}, 10 * (number + 1), 300.0
     )
 
 

@@ -148,25 +148,21 @@ def test_versions_and_machine_of_each_session_are_shown(folder, page):
         (session,) = journal.sessions
     for name, value in session.fingerprint.items():
         assert f"{name} {value}" in page
-    assert f"{session.wall_s:.0f} s" in page
+    assert f"<td>0:00:{session.wall_s:02.0f}<td>" in page
 
 
 def test_video_is_embedded_if_it_shows_the_best_robot(folder, monkeypatch):
     film = folder / "best.mp4"
     monkeypatch.setattr(run_page, "is_video_of", lambda path, robot: path.read_bytes()[:2] == b"it")
-    assert "There is no best.mp4" in read_page(folder)
+    assert "no video of this robot" in read_page(folder)
     try:
         film.write_bytes(b"another one")
-        assert "shows another robot" in read_page(folder)
+        assert "no video of this robot" in read_page(folder)
         film.write_bytes(b"it is this robot")
         (data,) = re.findall(
             r'<video controls[^>]* src="data:video/mp4;base64,([^"]+)"', read_page(folder)
         )
         assert base64.b64decode(data) == film.read_bytes()
-        film.write_bytes(b"it" + bytes(run_page.LARGEST_VIDEO_BYTES))
-        page = read_page(folder)
-        assert "<video" not in page.partition("<body>")[2]
-        assert "too large to embed (16 MiB)" in page
     finally:
         film.unlink()
 
@@ -233,7 +229,7 @@ def test_page_of_a_stopped_run_shows_how_to_resume(tmp_path):
     assert "caterpillar resume run " in page
     assert "<small>1 generations</small>" not in page
     assert "<small>1 generation</small>" in page
-    assert "its end not recorded" in page
+    assert "<td>stopped<td>3<td" in page
     assert number(page, "evaluations") == 3
     assert number(page, "best-m") == Robot.load(tmp_path / "run").fitness_m
 

@@ -95,8 +95,7 @@ def test_robots_of_all_kinds_are_exported(tmp_path, genome):
         (["export", "done", "--to", "xlsx"], "--to"),
         (["export", "done", "--out", "missing/rows.csv"], "choose another place with --out"),
         (["export", "damaged"], "is damaged"),
-        (["export", "done/best.json"], "a table needs a run folder"),
-        (["export", "done", "--to", "csv", "--out", "robot.xml"], "contradict"),
+        (["export", "done/best.json"], "is not a run folder"),
         (["export", "nowhere", "--to", "mjcf"], "give a run folder or the JSON file of one robot"),
         (["export", "empty", "--to", "mjcf"], "empty holds no best.json"),
         (["export", "done", "--to", "mjcf", "--out", "missing/robot.xml"], "cannot write missing/robot"),
@@ -191,7 +190,7 @@ def test_a_generation_that_is_completed_while_the_journal_is_read_waits(tmp_path
     def read_slowly(journal):
         yield from read_evaluations(journal)
         calls.append(journal)
-        if len(calls) == 2:  # the first call checks the digests
+        if len(calls) == 1:
             writer.append(genomes[1:], outcomes)
             writer.complete()
 
@@ -214,9 +213,7 @@ def test_a_journal_without_the_ends_of_generations_is_read_the_same(runs, tmp_pa
         now, then = load(folder), load(runs / name)
         # Without its end, the last generation of a run that was stopped counts as incomplete.
         complete = len(then.generations) if then.finished else len(then.generations) - 1
-        assert [g._replace(elapsed_s=0.0) for g in now.generations] == [
-            g._replace(elapsed_s=0.0) for g in then.generations[:complete]
-        ]
+        assert now.generations == then.generations[:complete]
         if then.finished:
             assert now.best.number == then.best.number
 

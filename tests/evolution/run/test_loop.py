@@ -1,6 +1,5 @@
 """A run's record: what it holds, that it repeats, and that it survives being stopped."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +16,7 @@ from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig
 from evolution.optimizers.random_search import RandomSearch
 from evolution.priors.distributions import ClippedGaussian, Uniform
-from evolution.run.evaluators import EvaluationError, LocalEvaluator
+from evolution.run.evaluators import LocalEvaluator
 from evolution.run.history import RunError, load
 from evolution.run.journal import Journal, fingerprint
 from evolution.run.loop import evolve, resume
@@ -69,8 +68,7 @@ def test_generations_out_of_the_record_are_those_that_were_told(run):
     best = (folder / "best.json").stat().st_mtime_ns
     found = load(folder).generations
     assert all(g.replayed for g in found)
-    known = {"elapsed_s": 0.0, "replayed": True}
-    assert [g._replace(**known) for g in found] == [g._replace(**known) for g in result.generations]
+    assert found == [g._replace(replayed=True) for g in result.generations]
     assert (folder / "best.json").stat().st_mtime_ns == best
 
 
@@ -127,8 +125,6 @@ def test_generations_are_told_as_they_are_recorded(run):
         stepped = column(folder, "simulated_s")[generation <= summary.number].sum()
         assert summary.simulated_s == pytest.approx(stepped)
     assert set(result.generations[0].failures) == {f.label for f in Failure if f}
-    elapsed = [g.elapsed_s for g in result.generations]
-    assert elapsed == sorted(elapsed)
 
 
 def test_configuration_is_kept_whole(run):
@@ -619,18 +615,3 @@ def test_the_best_robot_crawled_forwards_without_failing():
     backwards = Outcomes(*(column[:2] for column in outcomes))
     assert find_best(OBJECTIVES["distance"], backwards) is None
     assert find_best(lambda o: -o.distance_m, backwards) == (1, 0.1)  # what counts is the user's choice
-
-
-def test_an_exception_in_evaluation_stops_the_run_with_the_genome(tmp_path, monkeypatch):
-    def breaks(bodies, timings, physics, **kwargs):
-        if any(body.segment_mass_kg > 0.0095 for body in bodies):
-            raise ZeroDivisionError("a bug")
-        return simulate(bodies, timings, physics, **kwargs)
-
-    monkeypatch.setattr("evolution.run.evaluators.simulate", breaks)
-    config = RunConfig(generations=1, physics=SHORT, ga=GaConfig(population=20, hall_of_fame=0))
-    with pytest.raises(EvaluationError, match="failed with ZeroDivisionError: a bug") as error:
-        evolve(config, tmp_path, evaluator=ONE)
-    genome = json.loads(str(error.value).split("The genome was ")[1])
-    assert len(genome) == 12
-    assert len(load(tmp_path).table()) == 0

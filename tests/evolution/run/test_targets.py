@@ -22,7 +22,7 @@ from evolution.optimizers.ga import GaConfig
 from evolution.report import run_page
 from evolution.run.evaluators import LocalEvaluator
 from evolution.run.history import load
-from evolution.run.journal import FILE, Journal
+from evolution.run.journal import FILE
 from evolution.run.loop import evolve, resume
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
@@ -158,8 +158,7 @@ def test_a_run_at_its_target_evaluates_nothing_more(reached, tmp_path, generatio
     assert [g.replayed for g in again.generations] == [True]
     assert load(folder).table().equals(load(reached).table())
     assert (folder / "best.json").read_bytes() == best
-    with Journal(folder) as journal:
-        assert journal.finished
+    assert load(folder).finished
 
 
 def test_resuming_at_the_target_says_in_one_line_that_nothing_is_left(reached, tmp_path, capsys):
