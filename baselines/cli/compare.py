@@ -16,7 +16,7 @@ from rich.table import Table
 from baselines.history import Training
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli
-from evolution.run.records import to_outcomes
+from evolution.run.history import to_outcomes
 
 
 @dataclass(frozen=True)

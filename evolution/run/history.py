@@ -161,7 +161,7 @@ class History:
 
     def robot(self, evaluation: Evaluation) -> Robot:
         """Return the robot of an evaluation, with its recorded results."""
-        fitness_m = float(_to_outcomes([evaluation]).fitness()[0])
+        fitness_m = float(to_outcomes([evaluation]).fitness()[0])
         return self.config.encoding.robot(
             evaluation.genome, fitness_m=fitness_m, generation=evaluation.generation,
             evaluation=evaluation.number,
@@ -197,7 +197,7 @@ class History:
         import polars
 
         names, values = self._gene_values()
-        outcomes = _to_outcomes(self.evaluations)
+        outcomes = to_outcomes(self.evaluations)
         fitness: Any = [None] * len(self.evaluations)
         if self.kind == "evolution" and self.own_objective is None:
             fitness = score(self.objective, outcomes, self.config.failed_fitness)
@@ -294,7 +294,7 @@ class History:
     def _advance(self, *, replayed: bool) -> Outcomes:
         """Summarize the next generation, and return its outcomes."""
         number, rows = len(self.generations), self._next_rows()
-        outcomes = _to_outcomes(rows)
+        outcomes = to_outcomes(rows)
         if number == len(self._completions):
             self._completions.append(self._find_completion(rows, outcomes))
         completion = self._completions[number]
@@ -317,7 +317,7 @@ class History:
         return outcomes
 
 
-def _to_outcomes(evaluations: Sequence[Evaluation]) -> Outcomes:
+def to_outcomes(evaluations: Sequence[Evaluation]) -> Outcomes:
     """Return the outcomes of P recorded evaluations as arrays of shape (P,)."""
     return Outcomes(
         np.array([e.failure for e in evaluations], dtype=np.int8),
