@@ -30,11 +30,8 @@ def few_draws():
     """The bootstrap draws 60 times instead of thousands: its intervals have tests of their own."""
     from evolution.study import statistics
 
-    draw = statistics.bootstrap
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            statistics, "bootstrap", lambda *args, **kwargs: draw(*args, **kwargs | {"resamples": 60})
-        )
+        patch.setattr(statistics, "RESAMPLES", 60)
         yield
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,6 @@ from evolution.study.results import Results, Run, read_runs
 from evolution.study.statistics import Estimate
 
 TARGETS = 50
-_BOOTSTRAP_SEED = 2009
 
 Arrivals = tuple[Array, NDArray[np.bool_]]
 G = TypeVar("G")
@@ -108,14 +107,14 @@ def arrivals(runs: Sequence[Run], threshold_m: float, budget_s: float) -> Arriva
 def _times(config: StudyConfig, runs: dict[str, list[Run]], threshold_m: float) -> list[Times]:
     groups = {arm: arrivals(found, threshold_m, config.budget_s) for arm, found in runs.items()}
     speed_up = _compare(config, groups, _speed_up)
-    log_rank = _holm(_compare(config, groups, lambda a, b: statistics.log_rank(*a, *b)))
+    log_rank = statistics.holm(_compare(config, groups, lambda a, b: statistics.log_rank(*a, *b)))
     return [
         Times(
             arm=arm,
             runs=len(time),
             reached=int(reached.sum()),
             median_s=statistics.kaplan_meier(time, reached).median,
-            running_time_s=_bootstrap(statistics.expected_running_time, (time, reached)),
+            running_time_s=statistics.bootstrap(statistics.expected_running_time, (time, reached)),
             speed_up=speed_up.get(arm),
             log_rank_p=log_rank.get(arm),
         )
@@ -126,7 +125,7 @@ def _times(config: StudyConfig, runs: dict[str, list[Run]], threshold_m: float) 
 def _finals(config: StudyConfig, runs: dict[str, list[Run]]) -> list[Finals]:
     final_m = {arm: np.array([run.best_m[-1] for run in found]) for arm, found in runs.items()}
     a12 = _compare(config, final_m, statistics.a12)
-    p = _holm(_compare(config, final_m, lambda a, b: float(stats.mannwhitneyu(a, b).pvalue)))
+    p = statistics.holm(_compare(config, final_m, lambda a, b: float(stats.mannwhitneyu(a, b).pvalue)))
     rows = []
     for arm, values in final_m.items():
         failures = np.concatenate([run.failure for run in runs[arm]])
@@ -134,7 +133,7 @@ def _finals(config: StudyConfig, runs: dict[str, list[Run]]) -> list[Finals]:
             Finals(
                 arm=arm,
                 runs=len(values),
-                median_m=_bootstrap(lambda x: float(np.median(x)), (values,)),
+                median_m=statistics.bootstrap(lambda x: float(np.median(x)), (values,)),
                 best_m=float(values.max()),
                 failed=float(np.mean(failures != "ok")),
                 a12=a12.get(arm),
@@ -156,7 +155,7 @@ def _gains(config: StudyConfig, runs: dict[str, list[Run]]) -> list[Gain]:
     def ratio(a: Array, b: Array) -> float:
         return float(np.median(a) / np.median(b)) if np.median(b) > 0 else np.inf
 
-    ratios = _compare(config, reached, lambda a, b: _bootstrap(ratio, (a,), (b,)))
+    ratios = _compare(config, reached, lambda a, b: statistics.bootstrap(ratio, (a,), (b,)))
     return [Gain(arm, len(reached[arm]), estimate) for arm, estimate in ratios.items()]
 
 
@@ -168,18 +167,10 @@ def _compare(config: StudyConfig, groups: dict[str, G], compare: Callable[[G, G]
     return {arm: compare(group, base) for arm, group in groups.items() if arm != config.reference}
 
 
-def _holm(p: dict[str, float]) -> dict[str, float]:
-    return dict(zip(p, statistics.holm(list(p.values())).tolist(), strict=True))
-
-
-def _bootstrap(statistic: Callable[..., float], *groups: tuple[NDArray[Any], ...]) -> Estimate:
-    return statistics.bootstrap(statistic, groups, np.random.default_rng(_BOOTSTRAP_SEED))
-
-
 def _speed_up(group: Arrivals, reference: Arrivals) -> Estimate:
     if not (group[1].any() and reference[1].any()):  # no interval can be estimated
         return Estimate(statistics.speed_up(*group, *reference), float("nan"), float("nan"))
-    return _bootstrap(statistics.speed_up, group, reference)
+    return statistics.bootstrap(statistics.speed_up, group, reference)
 
 
 def summarize(analysis: Analysis) -> list[str]:

@@ -42,19 +42,15 @@ class Arm(Protocol):
         Raises:
             CaterpillarError: a setting is invalid.
         """
-        ...
 
     def run(self, folder: Path, seed: int, budget_s: float) -> bool:
         """Run or resume on one thread, and return whether the run finished."""
-        ...
 
     def matches(self, history: History, seed: int, budget_s: float) -> bool:
         """Return whether a recorded run has these settings."""
-        ...
 
     def robot(self, folder: Path, evaluation: int) -> AnyRobot:
         """Return the robot of an evaluation of a finished run, by its number."""
-        ...
 
 
 def make_arm(name: str, data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm:

@@ -6,7 +6,7 @@ All functions take plain arrays with one value per run. Confidence intervals are
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ Flags = NDArray[np.bool_]
 
 LEVEL = 0.95  #: confidence level of all intervals
 RESAMPLES = 4_999
+_SEED = 2009
 
 
 class Estimate(NamedTuple):
@@ -96,29 +97,22 @@ def speed_up(time: Array, reached: Flags, reference_time: Array, reference_reach
     return float("nan") if np.isinf(ert) and np.isinf(reference_ert) else reference_ert / ert
 
 
-def bootstrap(
-    statistic: Callable[..., float],
-    groups: Sequence[tuple[NDArray[Any], ...]],
-    rng: np.random.Generator,
-    *,
-    resamples: int = RESAMPLES,
-) -> Estimate:
+def bootstrap(statistic: Callable[..., float], *groups: tuple[NDArray[Any], ...]) -> Estimate:
     """Estimate a statistic of groups of runs with the percentile interval of the bootstrap.
 
     The interval is NaN if the statistic is infinite or undefined. Resamples in which the statistic is
-    undefined are ignored.
+    undefined are ignored. Equal arguments give equal intervals.
 
     Args:
         statistic: function of the arrays of all groups, in order.
         groups: arrays of each group, with one value per run. Arrays of a group are resampled together.
-        rng: source of randomness.
-        resamples: number of resamples.
     """
+    rng = np.random.default_rng(_SEED)
     value = statistic(*(array for group in groups for array in group))
     if not np.isfinite(value):
         return Estimate(value, float("nan"), float("nan"))
-    values = np.empty(resamples)
-    for i in range(resamples):
+    values = np.empty(RESAMPLES)
+    for i in range(RESAMPLES):
         arrays = []
         for group in groups:
             rows = rng.integers(0, len(group[0]), len(group[0]))
@@ -154,13 +148,12 @@ def a12(a: Array, b: Array) -> Estimate:
     return Estimate(value, low, high)
 
 
-def holm(p: Sequence[float]) -> Array:
-    """Return the p values of a family of tests, corrected by Holm's method (1979)."""
-    values = np.asarray(p, dtype=float)
-    order = np.argsort(values)
-    steps = np.maximum.accumulate(values[order] * np.arange(len(values), 0, -1))
-    corrected = np.empty_like(values)
-    corrected[order] = np.minimum(steps, 1.0)
+def holm(p: Mapping[str, float]) -> dict[str, float]:
+    """Correct the p values of a family of tests by Holm's method (1979)."""
+    corrected, largest = {}, 0.0
+    for rank, name in enumerate(sorted(p, key=p.__getitem__)):
+        largest = max(largest, min((len(p) - rank) * p[name], 1.0))
+        corrected[name] = largest
     return corrected
 
 

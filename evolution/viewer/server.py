@@ -29,7 +29,7 @@ class Viewer:
     """The web server, used as a context manager. It runs in background threads until it is closed.
 
     Args:
-        robot: initial robot of every tab.
+        robot: the first robot of every tab.
         port: port of 127.0.0.1; 0 selects a free port. If it is in use, viser takes the next free one.
 
     Raises:

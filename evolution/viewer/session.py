@@ -47,13 +47,9 @@ class Session:
         self._intervals = 0
 
     def change(self, robot: Robot) -> bool:
-        """Replace the robot. A new body or new physics restarts the simulation; a new gait does not.
+        """Replace the robot, and return whether the simulation was restarted.
 
-        Returns:
-            Whether the simulation was restarted.
-
-        Raises:
-            CaterpillarError: see `Session`. The session keeps its robot.
+        A new body or new physics restarts it; a new gait does not.
         """
         self._power = _power(robot)
         old, self.robot = self.robot, robot
