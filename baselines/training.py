@@ -164,7 +164,8 @@ class _Recorder(BaseCallback):
     @property
     def spent_s(self) -> float:
         """Simulated seconds of training and evaluation so far."""
-        return self._robots.vector_env.simulated_s + self._env.crawl.simulation.simulated_s
+        crawls = self._robots.vector_env.crawl, self._env.crawl
+        return sum(crawl.simulation.simulated_s for crawl in crawls)
 
     def _on_step(self) -> bool:
         if self._on_progress is not None:

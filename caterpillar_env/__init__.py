@@ -12,21 +12,6 @@ import gymnasium as _gymnasium
 
 from caterpillar_env.errors import CaterpillarError
 
-__all__ = [
-    "PARAMETERS",
-    "CaterpillarEnv",
-    "CaterpillarError",
-    "CaterpillarVectorEnv",
-    "Failure",
-    "GaitTimings",
-    "Morphology",
-    "Outcomes",
-    "Physics",
-    "Robot",
-    "SmaSpring",
-    "simulate",
-]
-
 for _id, _mode in (("CaterpillarSMA-v0", "timing"), ("CaterpillarSMASwitch-v0", "switch")):
     if _id not in _gymnasium.registry:
         # No step limit: the environment itself truncates after 30 s, for any length of a step.
@@ -50,6 +35,7 @@ _LAZY = {
     "SmaSpring": "sma",
     "simulate": "robot",
 }
+__all__ = ["CaterpillarError", *_LAZY]
 
 
 def __getattr__(name: str) -> Any:

@@ -53,6 +53,8 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         overlay: whether to write time, distance, energy and a legend on frames.
 
     Attributes:
+        dt: simulated length of an environment step, s.
+        observation_names: name of every entry of the observation, in order.
         crawl: the simulated robot: `crawl.progress()`, `crawl.simulation.state()` and so on.
         on_interval: function to call with the `Trace` of every control interval, or None.
 
@@ -94,6 +96,8 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         body = Morphology.of({} if morphology is None else morphology)
         self._episodes = Episodes([body], EpisodeConfig.of(arguments), threads=1)
         self.crawl = self._episodes.crawl
+        self.dt = self._episodes.step_s
+        self.observation_names = self._episodes.observation_names
         self.on_interval: OnInterval | None = None
         self.action_space = self._episodes.action_space
         self.observation_space = self._episodes.observation_space
@@ -104,19 +108,9 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         self.metadata = {**self.metadata, "render_fps": 1 / self.dt}  # one frame per step
 
     @property
-    def dt(self) -> float:
-        """Simulated length of an environment step, s."""
-        return self._episodes.step_s
-
-    @property
     def morphology(self) -> Morphology:
         """Body of the robot. `reset` may change it."""
         return self._episodes.morphology(0)
-
-    @property
-    def observation_names(self) -> list[str]:
-        """Name of every entry of the observation, in order."""
-        return self._episodes.observation_names
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -19,7 +19,7 @@ from caterpillar_env.observation import observation_names, observe
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.pose import BodyState
 from caterpillar_env.randomization import Randomization
-from caterpillar_env.task import STEPS_PER_INTERVAL, Crawl, Failure, OnInterval, Progress, label
+from caterpillar_env.task import STEPS_PER_INTERVAL, Crawl, Failure, OnInterval, Progress
 
 ActionMode = Literal["timing", "switch"]
 #: Observations, rewards, terminations, truncations and info of R robots; `info` maps keys to arrays.
@@ -93,6 +93,7 @@ class Episodes:
         timing = config.action_mode == "timing"
         period = count_steps(config.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
         self._step_intervals = config.frame_skip * (period if timing else 1)
+        self.step_s = self._step_intervals * CONTROL_INTERVAL_S
         self._limit = count_steps(config.episode_s, CONTROL_INTERVAL_S, "episode_s")
         if config.max_episode_steps:
             self._limit = min(self._limit, config.max_episode_steps * self._step_intervals)
@@ -111,11 +112,6 @@ class Episodes:
         self.observation_space = spaces.Box(
             -OBSERVATION_LIMIT, OBSERVATION_LIMIT, (len(self.observation_names),), np.float32
         )
-
-    @property
-    def step_s(self) -> float:
-        """Simulated length of one environment step, s."""
-        return self._step_intervals * CONTROL_INTERVAL_S
 
     def morphology(self, row: int) -> Morphology:
         """Return the body of a row."""
@@ -243,7 +239,7 @@ def _info(
         "energy_j": now.energy_j,
         "body_load": now.body_load,
         "time_s": now.time_s,
-        "failure": np.array([label(f) for f in now.failure], dtype=object),
+        "failure": np.array([Failure(f).label for f in now.failure], dtype=object),
     }
 
 

@@ -66,7 +66,6 @@ def read(
     make: Callable[[Any], T],
     missing: str,
     parse: Callable[[str], Any] = json.loads,
-    error: type[CaterpillarError] = CaterpillarError,
 ) -> T:
     """Read, parse and convert a text file.
 
@@ -75,16 +74,18 @@ def read(
         make: function that converts the parsed data to the result.
         missing: advice for the message if the file is missing.
         parse: function that parses the text.
-        error: error class to raise if the file is missing or invalid.
+
+    Raises:
+        CaterpillarError: the file is missing or invalid.
     """
     try:
         data = parse(path.read_text(encoding="utf-8"))
     except OSError as problem:
-        raise error(f"cannot read {path}: {problem.strerror}; {missing}") from None
+        raise CaterpillarError(f"cannot read {path}: {problem.strerror}; {missing}") from None
     except ValueError as problem:
         kind = path.suffix.removeprefix(".").upper() or "text"
-        raise error(f"{path} is not {kind}: {problem}") from None
+        raise CaterpillarError(f"{path} is not {kind}: {problem}") from None
     try:
         return make(data)
     except CaterpillarError as problem:
-        raise error(f"{path}: {problem}") from None
+        raise CaterpillarError(f"{path}: {problem}") from None

@@ -21,7 +21,8 @@ STANCE_M = 1e-9
 _PLANES = {"ground": FOOT, "ground_skin": SKIN}
 _FORCE = 1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value
 _NET_FORCE = 3  # `reduce="netforce"` of MuJoCo's contact sensor
-_SENSORS = slice(2, None, 3)  # vertical components of the two forces, N
+#: Vertical loads on feet and skin, N, in MuJoCo's sensor data.
+LOADS = slice(2, None, 3)
 
 
 def add_ground(spec: mujoco.MjSpec) -> mujoco.MjsGeom:
@@ -49,11 +50,6 @@ def condim(friction: float) -> int:
     With `condim` 3, MuJoCo raises a friction of 0 to 1e-5. That moves a robot by millimetres in 30 s.
     """
     return 3 if friction > 0 else 1
-
-
-def loads_n(sensordata: Array) -> Array:
-    """Return the vertical loads on feet and skin, N, (..., 2), from MuJoCo's sensor data."""
-    return sensordata[..., _SENSORS]
 
 
 def touching_geoms(model: mujoco.MjModel) -> NDArray[np.intp]:

@@ -40,10 +40,9 @@ class Outcomes(NamedTuple):
         distance_m = np.where(np.isfinite(end.distance_m), end.distance_m, 0.0)
         return cls(end.failure, distance_m, end.energy_j, end.time_s)
 
-    def fitness(self, failed_fitness: float = 0.0) -> Array:
-        """Return the distance in m, at least 0, or `failed_fitness` for a failed robot, (P,)."""
-        ok = self.failure == Failure.NONE
-        return np.where(ok, np.maximum(self.distance_m, 0.0), failed_fitness)
+    def fitness(self) -> Array:
+        """Return the distance in m, at least 0, or 0 for a failed robot, (P,)."""
+        return np.where(self.failure == Failure.NONE, np.maximum(self.distance_m, 0.0), 0.0)
 
 
 def simulate(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from caterpillar_env.arrays import Array, Rows
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import count_steps
-from caterpillar_env.ground import STANCE_M, clearances_m, half_axes_m, loads_n, touching_geoms
+from caterpillar_env.ground import LOADS, STANCE_M, clearances_m, half_axes_m, touching_geoms
 from caterpillar_env.machine import cores
 from caterpillar_env.model import ELEMENTS_PER_SEGMENT, ModelBuilder
 from caterpillar_env.morphology import Body
@@ -241,7 +241,7 @@ class Simulation:
         self.simulated_s += (last - first) * SMA_STEP_S * len(index)
         self._sma.enthalpy_j_kg[index] = springs.enthalpy_j_kg[last - 1, chosen]
         self._sma.fraction[index] = springs.fraction[last - 1, chosen]
-        loads = np.add.accumulate(loads_n(record["sensordata"]), axis=1)
+        loads = np.add.accumulate(record["sensordata"][..., LOADS], axis=1)
         self._load_n[index] = loads[:, -1] / control.shape[1]
         # `np.sum` would add in a different order for a single row.
         before_j, used_j = self.energy_j[index], np.add.accumulate(energy_j[first:last, chosen])

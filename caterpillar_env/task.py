@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,11 +49,6 @@ class Failure(IntEnum):
 
 _MIN_LOAD_N = 1e-6  # below this load, the robot is in the air
 _NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # members are slow to look up
-
-
-def label(failure: int | np.integer[Any]) -> str:
-    """Return the name of a failure code, or "ok" for no failure."""
-    return Failure(int(failure)).label
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,9 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         render_mode: None or "rgb_array" (one frame per robot).
 
     Attributes:
+        step_s: simulated length of an environment step, s.
+        episode_s: simulated length of an episode without failure, s.
+        observation_names: name of every entry of an observation, in order.
         crawl: the simulated robots: `crawl.progress()`, `crawl.simulation.state()` and so on.
 
     Raises:
@@ -90,6 +93,8 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         self._mode = AutoresetMode(autoreset_mode)
         self._episodes = Episodes(bodies, config, threads)
         self.crawl = self._episodes.crawl
+        self.step_s, self.episode_s = self._episodes.step_s, episode_s
+        self.observation_names = self._episodes.observation_names
         self.single_action_space = self._episodes.action_space
         self.single_observation_space = self._episodes.observation_space
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -97,7 +102,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         self.metadata = {
             **self.metadata,
             "autoreset_mode": self._mode,
-            "render_fps": 1 / self._episodes.step_s,
+            "render_fps": 1 / self.step_s,
         }
         self.render_mode = render_mode
         view = View(width, height, camera_name)
@@ -105,26 +110,6 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         self._generators: list[np.random.Generator] = []
         self._done = np.zeros(num_envs, dtype=bool)
         self._observations = np.zeros(self.observation_space.shape or (), dtype=np.float32)
-
-    @property
-    def observation_names(self) -> list[str]:
-        """Name of every entry of an observation, in order."""
-        return self._episodes.observation_names
-
-    @property
-    def step_s(self) -> float:
-        """Simulated length of an environment step, s."""
-        return self._episodes.step_s
-
-    @property
-    def episode_s(self) -> float:
-        """Simulated length of an episode without failure, s."""
-        return self._episodes.config.episode_s
-
-    @property
-    def simulated_s(self) -> float:
-        """Time simulated so far, summed over the rows, s."""
-        return self.crawl.simulation.simulated_s
 
     @property
     def morphologies(self) -> list[Morphology]:

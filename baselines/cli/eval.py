@@ -14,7 +14,7 @@ import tyro
 
 from baselines.policy import Policy, RandomActor, TrainedRobot, make_env
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.task import label
+from caterpillar_env.task import Failure
 from evolution import cli
 from evolution.cli.running import film
 
@@ -77,7 +77,7 @@ def eval_command(argv: Sequence[str]) -> int:
                 "distance_m": float(outcome.distance_m[0]),
                 "energy_j": float(outcome.energy_j[0]),
                 "time_s": float(outcome.simulated_s[0]),
-                "failure": label(outcome.failure[0]),
+                "failure": Failure(outcome.failure[0]).label,
             }
         )
     if args.json:

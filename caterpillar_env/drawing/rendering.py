@@ -22,7 +22,7 @@ from caterpillar_env.ground import clearances_m, half_axes_m, touching_geoms
 from caterpillar_env.model import build_model
 from caterpillar_env.morphology import Body, length_m, segments_of
 from caterpillar_env.physics import Physics
-from caterpillar_env.task import Crawl, label
+from caterpillar_env.task import Crawl, Failure
 
 #: Reason of an earlier rendering failure, or None. Retrying can crash the interpreter.
 unavailable: str | None = None
@@ -185,7 +185,8 @@ class Pictures:
         """Return an image of a row, or warn once and return None if this machine cannot draw."""
         simulation, rows = self._crawl.simulation, np.array([row])
         now = self._crawl.progress(rows)
-        readout = Readout(now.time_s[0], now.distance_m[0], now.energy_j[0], label(now.failure[0]))
+        failure = Failure(now.failure[0]).label
+        readout = Readout(now.time_s[0], now.distance_m[0], now.energy_j[0], failure)
         (temperature_c,) = simulation.state(rows).temperature_c
         try:
             return self.renderer(row).draw(

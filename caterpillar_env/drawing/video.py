@@ -23,7 +23,7 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import length_m, segments_of
 from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.robot import AnyRobot, Outcomes
-from caterpillar_env.task import label
+from caterpillar_env.task import Failure
 
 Frame = NDArray[np.uint8]
 
@@ -118,7 +118,7 @@ class Recording:
             view_length_m=view_length_m,
         )  # fmt: skip
         start_m = renderer.centre_of_mass(self.qpos[0])[0]
-        failure, last = label(self.outcomes.failure[0]), len(self.qpos) - 1
+        failure, last = Failure(self.outcomes.failure[0]).label, len(self.qpos) - 1
 
         @lru_cache(maxsize=1)  # draw repeated frames once
         def draw_step(step: int) -> Frame:

@@ -17,7 +17,7 @@ from caterpillar_env.arrays import Array
 from caterpillar_env.gait import count_steps
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.robot import Robot
-from caterpillar_env.task import EPISODE_S, Crawl, label
+from caterpillar_env.task import EPISODE_S, Crawl, Failure
 from caterpillar_env.validation.check import Check
 from caterpillar_env.validation.robots import evolved_robots, random_robots
 
@@ -55,7 +55,7 @@ def compute_trajectory(robot: Robot, offset_m: float = 0.0) -> tuple[Array, str]
     for first in range(0, len(power), sample):
         crawl.run(power[None, first : first + sample])
         points.append(crawl.simulation.state().com_m[0])
-    return np.array(points), label(crawl.failure[0])
+    return np.array(points), Failure(crawl.failure[0]).label
 
 
 def record(path: Path = FILE) -> None:

@@ -17,7 +17,7 @@ from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import GRAVITY_M_S2, SMA_STEP_S, Physics
 from caterpillar_env.robot import Robot, simulate
 from caterpillar_env.sma import spring_force
-from caterpillar_env.task import EPISODE_S, Crawl, Progress, Thresholds, label
+from caterpillar_env.task import EPISODE_S, Crawl, Failure, Progress, Thresholds
 from caterpillar_env.validation.check import (
     Check,
     check_at_least,
@@ -239,8 +239,8 @@ def check_failures(healthy: Sequence[Robot]) -> list[Check]:
     checks = []
     for name, code in zip(poses, crawl.failure, strict=True):
         words = "upright, 20 degrees off" if name == "ok" else name
-        checks.append(check_equal(f"robot placed {words}", name, label(code)))
-    found = {label(code) for code in simulate(*stack_robots(healthy), physics).failure}
+        checks.append(check_equal(f"robot placed {words}", name, Failure(int(code)).label))
+    found = {Failure(int(code)).label for code in simulate(*stack_robots(healthy), physics).failure}
     evolved = check_equal(f"outcomes of {len(healthy)} evolved robots", ["ok"], sorted(found))
     return [*checks, *_steered(), evolved]
 
@@ -256,7 +256,7 @@ def _steered() -> list[Check]:
                       for side in ("left", "right")])  # fmt: skip
     strict = Thresholds(veered_heading_rad=math.radians(10))
     crawl = crawl_for(EPISODE_S, bodies * 2, power * sides[:, None], physics, thresholds=strict)
-    failures = [label(failure) for failure in crawl.failure]
+    failures = [Failure(int(failure)).label for failure in crawl.failure]
     turned = np.sign(crawl.progress().heading_rad)
     return [
         check_equal("robots powered on one side only", ["veered"] * 2, failures),

@@ -15,7 +15,7 @@ from caterpillar_env.drawing.rendering import RenderingError
 from caterpillar_env.drawing.video import Recording, VideoConfig, check_path, write_video
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.robot import Robot
-from caterpillar_env.task import label
+from caterpillar_env.task import Failure
 from evolution import cli
 from evolution.run.history import History
 
@@ -119,7 +119,7 @@ def _compare(recording: Recording, timestep_s: float | None) -> dict[str, Any]:
         "fitness_m": fitness_m,
         "recorded_fitness_m": robot.fitness_m,
         "identical": fitness_m == robot.fitness_m,
-        "failure": label(outcomes.failure[0]),
+        "failure": Failure(outcomes.failure[0]).label,
         "distance_m": float(outcomes.distance_m[0]),
         "energy_j": float(outcomes.energy_j[0]),
         "simulated_s": float(outcomes.simulated_s[0]),

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from caterpillar_env.files import write_json
-from caterpillar_env.task import label
+from caterpillar_env.task import Failure
 from evolution.study.analysis import Analysis
 from evolution.study.config import Cell
 
@@ -47,7 +47,7 @@ def find_winners(analysis: Analysis, folder: Path) -> list[Winner]:
             file.parent.mkdir(exist_ok=True)
             robot.save(file.with_name(f"{arm}.json"))
             end = robot.simulate(REFERENCE_TIMESTEP_S)
-            failure = label(end.failure[0])
+            failure = Failure(end.failure[0]).label
             known[arm] = Winner(arm, best.seed, best_m, float(end.distance_m[0]), failure)._asdict()
             write_json(file, known)
     return [Winner(**known[arm]) for arm in analysis.runs if arm in known]

@@ -81,7 +81,7 @@ def test_simulated_seconds_of_all_rows_are_counted(env):
     env.reset()
     for actions in switches(env.action_space, 7):
         env.step(actions)
-    assert env.vector_env.simulated_s == pytest.approx(ROWS * 0.7)
+    assert env.vector_env.crawl.simulation.simulated_s == pytest.approx(ROWS * 0.7)
 
 
 def test_reset_applies_the_body_in_the_options(env):

@@ -6,10 +6,6 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import make_folder, read, unused, write_json, writing
 
 
-class UnreadError(CaterpillarError):
-    """Error to raise for a file that cannot be read."""
-
-
 def test_non_empty_folder_is_rejected(tmp_path):
     make_folder(tmp_path / "a" / "b", "")
     make_folder(tmp_path / "a" / "b", "")  # nothing is in it
@@ -29,21 +25,21 @@ def test_json_is_written_completely_and_leaves_no_other_file(tmp_path):
     assert json.loads((tmp_path / "x.json").read_text()) == {"a": [1, 2.5]}
     with pytest.raises(TypeError):
         write_json(tmp_path / "x.json", {"a": object()})
-    assert read(tmp_path / "x.json", dict, "", error=UnreadError) == {"a": [1, 2.5]}
+    assert read(tmp_path / "x.json", dict, "") == {"a": [1, 2.5]}
     assert [path.name for path in tmp_path.iterdir()] == ["x.json"]
 
 
 def test_read_errors_name_the_file(tmp_path):
     (tmp_path / "x.json").write_text("{")
-    with pytest.raises(UnreadError, match=r"x\.json is not JSON"):
-        read(tmp_path / "x.json", dict, "", error=UnreadError)
-    with pytest.raises(UnreadError, match=r"cannot read .*none\.json: No such file .*; make one"):
-        read(tmp_path / "none.json", dict, "make one", error=UnreadError)
+    with pytest.raises(CaterpillarError, match=r"x\.json is not JSON"):
+        read(tmp_path / "x.json", dict, "")
+    with pytest.raises(CaterpillarError, match=r"cannot read .*none\.json: No such file .*; make one"):
+        read(tmp_path / "none.json", dict, "make one")
 
 
 def test_write_errors_give_advice_and_own_errors_pass_through(tmp_path):
     path = tmp_path / "none" / "x"
     with pytest.raises(CaterpillarError, match="directory; choose another place"), writing(path):
         path.write_text("")
-    with pytest.raises(UnreadError), writing(tmp_path):
-        raise UnreadError("mine")
+    with pytest.raises(CaterpillarError), writing(tmp_path):
+        raise CaterpillarError("mine")

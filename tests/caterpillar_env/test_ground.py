@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from caterpillar_env import Morphology, Physics
-from caterpillar_env.ground import clearances_m, condim, half_axes_m, loads_n, touching_geoms
+from caterpillar_env.ground import LOADS, clearances_m, condim, half_axes_m, touching_geoms
 from caterpillar_env.model import build_model
 from caterpillar_env.simulation import Simulation
 
@@ -42,7 +42,7 @@ def test_feet_bear_the_weight_of_a_straight_robot():
     model = build_model(Morphology(), Physics())
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, nstep=1000)
-    feet_n, skin_n = loads_n(data.sensordata)
+    feet_n, skin_n = data.sensordata[LOADS]
     assert feet_n == pytest.approx(WEIGHT_N, rel=1e-3)
     assert skin_n == 0.0
 

@@ -13,7 +13,7 @@ from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import FORMAT, Robot
-from caterpillar_env.task import Failure, label
+from caterpillar_env.task import Failure
 from evolution.config import RunConfig
 from evolution.genome import Encoding
 from evolution.run.evaluators import evaluate
@@ -216,7 +216,7 @@ def test_robot_of_a_genome_has_one_gait(individual):
 
 def test_every_failure_has_a_label():
     labels = ["ok", "diverged", "flipped", "tipped", "jumped", "veered", "sagged"]
-    assert [label(f) for f in Failure] == labels
+    assert [Failure(f).label for f in Failure] == labels
 
 
 def test_path_may_be_a_string(tmp_path):

@@ -44,13 +44,12 @@ def test_fitness_of_a_sound_robot_is_its_distance():
 
 
 def test_crawling_backwards_is_worth_nothing():
-    assert outcomes([0], [-0.02]).fitness(failed_fitness=0.01).tolist() == [0.0]
+    assert outcomes([0], [-0.02]).fitness().tolist() == [0.0]
 
 
 @pytest.mark.parametrize("failure", [f for f in Failure if f is not Failure.NONE])
-def test_every_failure_earns_the_failed_fitness_however_far_it_came(failure):
+def test_every_failure_earns_nothing_however_far_it_came(failure):
     assert outcomes([failure], [0.5]).fitness().tolist() == [0.0]
-    assert outcomes([failure], [0.5]).fitness(failed_fitness=0.002).tolist() == [0.002]
 
 
 @pytest.mark.parametrize("distance", [np.nan, np.inf, -np.inf, 1e300])
@@ -159,8 +158,7 @@ def test_failed_robots_stop_while_sound_ones_go_on():
     assert 0 < failed.sum() < 20, "the scenario no longer mixes sound and failing robots"
     assert np.all(result.simulated_s[failed] < 3.0)
     assert result.simulated_s[~failed] == pytest.approx(3.0)
-    assert np.all(result.fitness(0.5)[failed] == 0.5)
-    assert np.all(result.fitness(0.5)[~failed] < 0.5)
+    assert np.all(result.fitness()[failed] == 0)
 
 
 @pytest.mark.parametrize("period_s", [0.25, 0.04, 3.01])

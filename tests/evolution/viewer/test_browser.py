@@ -6,9 +6,9 @@ import threading
 import time
 from urllib.parse import urlparse
 
-import imageio.v3 as imageio
 import numpy as np
 import pytest
+from PIL import Image
 
 from caterpillar_env.robot import Robot
 from evolution.viewer.session import nominal_robot
@@ -62,7 +62,7 @@ class Tab:
     def picture(self):
         """The part of the window beside the panel."""
         clip = {"x": 130, "y": 100, "width": 500, "height": 300}
-        return imageio.imread(io.BytesIO(self.page.screenshot(clip=clip)), extension=".png")[..., :3]
+        return np.asarray(Image.open(io.BytesIO(self.page.screenshot(clip=clip))).convert("RGB"))
 
     def wait(self, condition):
         end_s = time.monotonic() + TIMEOUT_MS / 1000
