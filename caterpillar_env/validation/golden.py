@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.gait import count_steps
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.robot import Robot
 from caterpillar_env.task import EPISODE_S, Crawl, Failure
@@ -23,6 +22,7 @@ from caterpillar_env.validation.robots import evolved_robots, random_robots
 
 FILE = Path(__file__).with_name("golden.json")
 SAMPLE_S = 3.0  #: time between recorded points, s
+PLATFORM = f"MuJoCo {mujoco.__version__} on {platform.machine()}"  #: trajectories depend on both
 TOLERANCE_M = 1e-6  #: maximum deviation of a coordinate, m
 _STEADY_M = 1e-8  #: limit on the effect of moving the start of a recorded robot by 1 nm
 _KINDS = {"evolved": 4, "random": 2}
@@ -35,11 +35,6 @@ ADVICE = (
 )
 
 
-def describe_platform() -> str:
-    """Return the MuJoCo version and the machine type. Trajectories depend on both."""
-    return f"MuJoCo {mujoco.__version__} on {platform.machine()}"
-
-
 def compute_trajectory(robot: Robot, offset_m: float = 0.0) -> tuple[Array, str]:
     """Return the centre of mass at intervals of `SAMPLE_S`, m, (10, 3), and the failure.
 
@@ -49,8 +44,8 @@ def compute_trajectory(robot: Robot, offset_m: float = 0.0) -> tuple[Array, str]
     if offset_m:
         crawl.reset(offset=np.full_like(crawl.simulation.state().joint_position, offset_m))
     period = robot.timings.mirrored().power(SMA_STEP_S)
-    power = np.tile(period, (count_steps(EPISODE_S, robot.timings.period_s, "an episode"), 1))
-    sample = count_steps(SAMPLE_S, SMA_STEP_S, "the time between two points")
+    power = np.tile(period, (round(EPISODE_S / robot.timings.period_s), 1))
+    sample = round(SAMPLE_S / SMA_STEP_S)
     points = []
     for first in range(0, len(power), sample):
         crawl.run(power[None, first : first + sample])
@@ -71,7 +66,7 @@ def record(path: Path = FILE) -> None:
                 count += 1
             if count == _KINDS[kind]:
                 break
-    data = {"recorded_with": describe_platform(), "sample_s": SAMPLE_S, "trajectories": entries}
+    data = {"recorded_with": PLATFORM, "sample_s": SAMPLE_S, "trajectories": entries}
     path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
@@ -86,7 +81,7 @@ def check_trajectories(path: Path = FILE) -> list[Check]:
             Check(
                 f"trajectory of robot {entry['name']}",
                 f"{entry['verdict']}, recorded with {data['recorded_with']}",
-                f"{failure}, off by {1000 * off_m:.3g} mm with {describe_platform()}",
+                f"{failure}, off by {1000 * off_m:.3g} mm with {PLATFORM}",
                 f"{1000 * TOLERANCE_M:g} mm",
                 failure == entry["verdict"] and off_m <= TOLERANCE_M,
             )

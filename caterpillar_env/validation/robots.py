@@ -18,7 +18,7 @@ from caterpillar_env.model import joint_names
 from caterpillar_env.morphology import PARAMETERS, Body, Morphology, segments_of
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.robot import Robot
-from caterpillar_env.task import Crawl, Thresholds
+from caterpillar_env.task import Crawl
 
 FILE = Path(__file__).with_name("evolved.json")
 
@@ -78,14 +78,13 @@ def stack_power(robots: Sequence[Robot]) -> tuple[list[Body], Array]:
 def crawl_for(
     duration_s: float, bodies: Sequence[Body], power: Array, physics: Physics, *,
     heading_rad: float = 0.0, offset_m: float = 0.0, stop_on_failure: bool = True,
-    thresholds: Thresholds | None = None,
 ) -> Crawl:  # fmt: skip
     """Simulate robots for `duration_s`, repeating one period of power (R, steps, springs).
 
     `offset_m` slightly changes the initial state to measure the sensitivity of the result. It is added
     to every axial joint. Hinges turn so that the centre of the element behind moves by the same length.
     """
-    crawl = Crawl(bodies, physics, thresholds=thresholds, stop_on_failure=stop_on_failure)
+    crawl = Crawl(bodies, physics, stop_on_failure=stop_on_failure)
     axial = np.array([n.startswith("axial") for n in joint_names(physics.num_segments)])
     # A hinge is halfway between two elements, a quarter of a segment from the centre of each.
     heads = [segments_of(body, physics.num_segments)[0] for body in bodies]

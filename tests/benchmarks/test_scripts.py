@@ -14,7 +14,6 @@ import pytest
         (["population", "--bodies", "3", "--periods", "2", "--repeats", "1"], 1),
         (["environments", "--repeats", "1", "--single"], 1),
         (["environments", "--repeats", "1", "--envs", "1,2"], 2),
-        (["physics_step", "--repeats", "1"], 1),
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, list) else "",
 )
