@@ -50,7 +50,6 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         width: width of the frames, pixels.
         height: height of the frames, pixels.
         camera_name: "track", "side" or "top"; all of them follow the robot.
-        overlay: whether to write time, distance, energy and a legend on frames.
 
     Attributes:
         dt: simulated length of an environment step, s.
@@ -87,7 +86,6 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         width: int = 640,
         height: int = 480,
         camera_name: str = "track",
-        overlay: bool = False,
     ) -> None:
         arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         EzPickle.__init__(self, **arguments)
@@ -102,10 +100,9 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         self.action_space = self._episodes.action_space
         self.observation_space = self._episodes.observation_space
         self.render_mode = render_mode
-        view = View(width, height, camera_name)
-        self._pictures = Pictures(self.crawl, view, overlay=overlay)
+        self._pictures = Pictures(self.crawl, View(width, height, camera_name))
         self._running = False
-        self.metadata = {**self.metadata, "render_fps": 1 / self.dt}  # one frame per step
+        self.metadata = self.metadata | {"render_fps": 1 / self.dt}  # one frame per step
 
     @property
     def morphology(self) -> Morphology:
@@ -147,8 +144,6 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
                 'render() draws nothing without a render mode: make(..., render_mode="rgb_array")'
             )
             return None
-        if not self._running:
-            raise CaterpillarError("call reset() before render()")
         return self._pictures.draw(0)
 
     def close(self) -> None:

@@ -147,7 +147,7 @@ class Episodes:
         self._intervals[rows] = 0
         state, start = self.crawl.simulation.state(rows), self.crawl.progress(rows)
         zeros = np.zeros(len(rows))
-        return self._observe(rows, state, start), _info(state, start, start, zeros, zeros)
+        return self._observe(rows, state, start), _info(state, start, start, zeros, zeros, zeros)
 
     def step(
         self,
@@ -178,7 +178,7 @@ class Episodes:
         terminated = failed if config.terminate_on_failure else diverged
         state = self.crawl.simulation.state(rows)
         truncated = ~terminated & (self._intervals[rows] >= self._limit)
-        info = _info(state, before, after, forward, ctrl) | {"reward_failure": failure}
+        info = _info(state, before, after, forward, ctrl, failure)
         observation = self._observe(rows, state, after)
         return observation, forward + ctrl + failure, terminated, truncated, info
 
@@ -224,8 +224,9 @@ class Episodes:
 
 
 def _info(
-    state: BodyState, before: Progress, now: Progress, forward: Array, ctrl: Array
+    state: BodyState, before: Progress, now: Progress, forward: Array, ctrl: Array, failure: Array
 ) -> dict[str, NDArray[Any]]:
+    """Return the info of robots, which moved from `before` to `now` with these rewards."""
     elapsed_s = np.maximum(now.time_s - before.time_s, CONTROL_INTERVAL_S)
     return {
         "x_position": state.com_m[:, 0],
@@ -236,6 +237,7 @@ def _info(
         "y_velocity": (now.lateral_m - before.lateral_m) / elapsed_s,
         "reward_forward": forward,
         "reward_ctrl": ctrl,
+        "reward_failure": failure,
         "energy_j": now.energy_j,
         "body_load": now.body_load,
         "time_s": now.time_s,

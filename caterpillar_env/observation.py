@@ -50,14 +50,9 @@ def observation_names(physics: Physics, *, clock: bool) -> list[str]:
 @lru_cache
 def _joint_scales(num_segments: int) -> Array:
     """Return the position and velocity scales of the internal joints, (2, J)."""
-    return np.array(
-        [
-            (_AXIAL_SCALE_M, _VELOCITY_SCALE_M_S)
-            if name.startswith("axial")
-            else (_ANGLE_SCALE_RAD, _RATE_SCALE_RAD_S)
-            for name in joint_names(num_segments)
-        ]
-    ).T
+    axial, hinge = (_AXIAL_SCALE_M, _VELOCITY_SCALE_M_S), (_ANGLE_SCALE_RAD, _RATE_SCALE_RAD_S)
+    names = joint_names(num_segments)
+    return np.array([axial if name.startswith("axial") else hinge for name in names]).T
 
 
 def observe(

@@ -81,7 +81,6 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         width: int = 640,
         height: int = 480,
         camera_name: str = "track",
-        overlay: bool = False,
     ) -> None:
         config = EpisodeConfig.of(locals())
         if render_mode not in (None, "rgb_array"):
@@ -99,22 +98,12 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         self.single_observation_space = self._episodes.observation_space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.metadata = {
-            **self.metadata,
-            "autoreset_mode": self._mode,
-            "render_fps": 1 / self.step_s,
-        }
+        self.metadata = self.metadata | {"autoreset_mode": self._mode, "render_fps": 1 / self.step_s}
         self.render_mode = render_mode
-        view = View(width, height, camera_name)
-        self._pictures = Pictures(self.crawl, view, overlay=overlay)
+        self._pictures = Pictures(self.crawl, View(width, height, camera_name))
         self._generators: list[np.random.Generator] = []
         self._done = np.zeros(num_envs, dtype=bool)
         self._observations = np.zeros(self.observation_space.shape or (), dtype=np.float32)
-
-    @property
-    def morphologies(self) -> list[Morphology]:
-        """Body of each row."""
-        return [self._episodes.morphology(row) for row in range(self.num_envs)]
 
     def reset(
         self,
@@ -186,8 +175,6 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
             final_info: dict[str, Any] = {}
             self._merge(final_info, {k: v[ended] for k, v in info.items() if k[0] != "_"}, ended)
             mask = self._done.copy()
-            for key in ("reward_failure", "_reward_failure"):
-                info[key][ended] = 0  # belongs to the ended episode, in final_info
             self._start(ended, info)
             info |= {"final_obs": final_obs, "_final_obs": mask}
             info |= {"final_info": final_info, "_final_info": mask.copy()}

@@ -12,8 +12,6 @@ from PIL import Image, ImageDraw, ImageFont
 from caterpillar_env.arrays import Array
 from caterpillar_env.sma import SmaSpring
 
-CONTACT_RGB = (1.0, 0.55, 0.05)  #: colour of the spots where the robot touches the ground
-
 _COLD = np.array([0.10, 0.35, 0.95])
 _WARM = np.array([0.98, 0.85, 0.20])
 _HOT = np.array([0.92, 0.10, 0.08])
@@ -76,8 +74,8 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 @lru_cache(maxsize=32)
 def _legend(spring: SmaSpring, size: int) -> Image.Image:
-    """Draw the legend (temperature scale and contact spot) with a font of `size` pixels."""
-    image = Image.new("RGBA", (17 * size, round(5.3 * size)))
+    """Draw the temperature scale of the springs with a font of `size` pixels."""
+    image = Image.new("RGBA", (17 * size, round(4.0 * size)))
     draw = ImageDraw.Draw(image)
     right, bottom = image.width - 1, image.height - 1
     draw.rounded_rectangle((0, 0, right, bottom), radius=size // 2, fill=_PANEL)
@@ -96,8 +94,4 @@ def _legend(spring: SmaSpring, size: int) -> Image.Image:
         anchor = "rt" if unit else "mt"
         at = (right - 0.4 * size if unit else tick, top + 1.05 * size)
         draw.text(at, f"{temperature_c:.0f}{unit}", fill=_INK, font=_font(size), anchor=anchor)
-    y = 4.45 * size
-    spot = tuple(round(255 * c) for c in CONTACT_RGB)
-    draw.ellipse((left, y - 0.35 * size, left + 0.7 * size, y + 0.35 * size), fill=spot)
-    draw.text((left + 1.1 * size, y), "on the ground", fill=_INK, font=_font(size), anchor="lm")
     return image

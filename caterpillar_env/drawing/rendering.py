@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from dataclasses import dataclass
 from functools import cache
@@ -14,26 +15,36 @@ from mujoco.rendering.classic import gl_context
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.drawing.backend import INSTALL_DRAWING, choose_backend
-from caterpillar_env.drawing.overlay import CONTACT_RGB, Readout, annotate, spring_rgb
+from caterpillar_env.drawing.overlay import spring_rgb
 from caterpillar_env.drawing.scenery import CAMERAS, RULER
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.ground import clearances_m, half_axes_m, touching_geoms
 from caterpillar_env.model import build_model
 from caterpillar_env.morphology import Body, length_m, segments_of
 from caterpillar_env.physics import Physics
-from caterpillar_env.task import Crawl, Failure
+from caterpillar_env.task import Crawl
 
 #: Reason of an earlier rendering failure, or None. Retrying can crash the interpreter.
 unavailable: str | None = None
 
-_CONTACT_RGBA = np.array([*CONTACT_RGB, 0.85])
+_ADVICE = (
+    "install EGL (Debian: apt install libegl1 libgl1-mesa-dri), or install OSMesa (libosmesa6) and "
+    "export MUJOCO_GL=osmesa; see also `caterpillar doctor`"
+)
+_CONTACT_RGBA = np.array([1.0, 0.55, 0.05, 0.85])
 _SPOT_SIZE_M, _SPOT_HEIGHT_M = np.array([0.005, 0.0002, 0.0]), 0.0006  # radius, half height
 _TOUCHING_M = 1e-4
 
 
 class RenderingError(CaterpillarError):
     """No OpenGL backend works on this machine, or the requested size or camera is invalid."""
+
+
+def choose_backend() -> str:
+    """Return the OpenGL backend: MUJOCO_GL if set, else "glfw" with a display and "egl" without."""
+    has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    given = os.environ.get("MUJOCO_GL", "").lower().strip()
+    return given or ("glfw" if has_display else "egl")
 
 
 @dataclass(frozen=True)
@@ -73,7 +84,7 @@ class RobotRenderer:
         self,
         body: Body,
         physics: Physics,
-        view: View | None = None,
+        view: View,
         *,
         view_length_m: float | None = None,
     ) -> None:
@@ -81,7 +92,7 @@ class RobotRenderer:
         self.model = model = build_model(body, physics)
         self._data = mujoco.MjData(model)
         self._spring = physics.spring
-        self._view = view = view or View()
+        self._view = view
         if view_length_m is not None:
             model.cam_poscom0[:] *= view_length_m / length_m(segments_of(body, physics.num_segments))
         model.vis.global_.offwidth, model.vis.global_.offheight = view.width, view.height
@@ -100,15 +111,12 @@ class RobotRenderer:
         centre: Array = self._data.subtree_com[1].copy()
         return centre
 
-    def draw(
-        self, qpos: Array, temperature_c: Array, readout: Readout | None = None
-    ) -> NDArray[np.uint8]:
+    def draw(self, qpos: Array, temperature_c: Array) -> NDArray[np.uint8]:
         """Return an image of a pose, shape (height, width, 3).
 
         Args:
             qpos: MuJoCo generalized positions, (nq,).
             temperature_c: spring temperatures, degC, (springs,).
-            readout: values to write on the image, together with a legend.
 
         Raises:
             RenderingError: rendering is not possible on this machine.
@@ -125,7 +133,7 @@ class RobotRenderer:
         for x, y, _ in self._data.geom_xpos[self._parts[above_m < _TOUCHING_M]]:
             _add_spot(canvas.scene, x, y)
         frame: NDArray[np.uint8] = canvas.render()
-        return frame if readout is None else annotate(frame, readout, self._spring)
+        return frame
 
     def close(self) -> None:
         """Release the rendering context."""
@@ -150,10 +158,7 @@ class RobotRenderer:
                 first_line = (str(error).strip() or type(error).__name__).splitlines()[0]
                 unavailable = f"{backend}: {first_line}"
         if self._canvas is None:
-            fix = INSTALL_DRAWING
-            if backend not in ("egl", "osmesa", "disabled"):
-                fix = "to draw without a display, export MUJOCO_GL=egl"
-            raise RenderingError(f"cannot draw ({unavailable}); {fix}; see also `caterpillar doctor`")
+            raise RenderingError(f"cannot draw ({unavailable}); {_ADVICE}")
         return self._canvas
 
 
@@ -163,11 +168,10 @@ class Pictures:
     Args:
         crawl: simulation of the robots.
         view: size and camera.
-        overlay: whether images show time, distance, energy and a legend.
     """
 
-    def __init__(self, crawl: Crawl, view: View, *, overlay: bool) -> None:
-        self._crawl, self._view, self._overlay = crawl, view, overlay
+    def __init__(self, crawl: Crawl, view: View) -> None:
+        self._crawl, self._view = crawl, view
         self._renderers: dict[int, RobotRenderer] = {}
 
     def renderer(self, row: int) -> RobotRenderer:
@@ -183,15 +187,10 @@ class Pictures:
 
     def draw(self, row: int) -> NDArray[np.uint8] | None:
         """Return an image of a row, or warn once and return None if this machine cannot draw."""
-        simulation, rows = self._crawl.simulation, np.array([row])
-        now = self._crawl.progress(rows)
-        failure = Failure(now.failure[0]).label
-        readout = Readout(now.time_s[0], now.distance_m[0], now.energy_j[0], failure)
-        (temperature_c,) = simulation.state(rows).temperature_c
+        simulation = self._crawl.simulation
+        (temperature_c,) = simulation.state(np.array([row])).temperature_c
         try:
-            return self.renderer(row).draw(
-                simulation.qpos(row), temperature_c, readout if self._overlay else None
-            )
+            return self.renderer(row).draw(simulation.qpos(row), temperature_c)
         except RenderingError as error:
             warn_once(str(error))
             return None

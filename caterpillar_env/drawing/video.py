@@ -16,7 +16,7 @@ import imageio_ffmpeg
 import numpy as np
 from numpy.typing import NDArray
 
-from caterpillar_env.drawing.overlay import Readout
+from caterpillar_env.drawing.overlay import Readout, annotate
 from caterpillar_env.drawing.rendering import RobotRenderer, View
 from caterpillar_env.drawing.scenery import Camera
 from caterpillar_env.errors import CaterpillarError
@@ -129,7 +129,8 @@ class Recording:
                 failure if step == last else "ok",
                 self.title,
             )
-            return renderer.draw(self.qpos[step], self.temperature_c[step], readout)
+            frame = renderer.draw(self.qpos[step], self.temperature_c[step])
+            return annotate(frame, readout, self.robot.physics.spring)
 
         with closing(renderer):
             yield lambda time_s: draw_step(min(max(round(time_s / SMA_STEP_S) - 1, 0), last))

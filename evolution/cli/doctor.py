@@ -92,7 +92,7 @@ def check_requirements(extra: str, requirements: Sequence[Requirement]) -> Findi
 def draw_frame() -> str:
     """Draw the robot off-screen, and return the backend that drew it."""
     from caterpillar_env import CaterpillarEnv
-    from caterpillar_env.drawing.backend import choose_backend
+    from caterpillar_env.drawing.rendering import choose_backend
 
     env = CaterpillarEnv(render_mode="rgb_array")
     env.reset(seed=0)

@@ -98,7 +98,7 @@ def test_each_row_has_its_own_body(kind):
     }[kind]
     envs = CaterpillarVectorEnv(ROWS, morphology=bodies)
     observations, _ = envs.reset(seed=0)
-    assert envs.morphologies == BODIES
+    assert envs.crawl.simulation.bodies == BODIES
     units = np.stack([2 * (b.to_array() - LOWER) / (UPPER - LOWER) - 1 for b in BODIES])
     np.testing.assert_allclose(observations[:, -8:], units, atol=1e-6)
     heights = observations[:, envs.observation_names.index("height")] * 0.024
@@ -109,7 +109,7 @@ def test_each_row_has_its_own_body(kind):
     "one", [BODIES[0], BODIES[0].to_dict(), BODIES[0].to_array().tolist()], ids=type
 )
 def test_one_body_applies_to_all_rows(one):
-    assert CaterpillarVectorEnv(ROWS, morphology=one).morphologies == [BODIES[0]] * ROWS
+    assert CaterpillarVectorEnv(ROWS, morphology=one).crawl.simulation.bodies == [BODIES[0]] * ROWS
 
 
 def test_new_bodies_persist_through_resets():
@@ -119,7 +119,7 @@ def test_new_bodies_persist_through_resets():
     envs.step(off())
     envs.step(off())  # all rows reset
     assert times(envs) == [0, 0, 0]
-    assert envs.morphologies == BODIES
+    assert envs.crawl.simulation.bodies == BODIES
     envs.reset()
     assert envs.crawl.simulation.bodies == BODIES
 
@@ -128,7 +128,7 @@ def test_masked_reset_changes_the_bodies_of_its_rows_only():
     envs = switch_envs()
     options = {"morphology": BODIES[2], "reset_mask": np.array([False, False, True])}
     envs.reset(options=options)
-    assert envs.morphologies == [Morphology(), Morphology(), BODIES[2]]
+    assert envs.crawl.simulation.bodies == [Morphology(), Morphology(), BODIES[2]]
     assert set(options) == {"morphology", "reset_mask"}
 
 
@@ -162,7 +162,7 @@ def test_next_step_mode_restarts_only_the_row_that_ended():
     assert info["failure"].tolist() == ["ok", "flipped", "ok"]
     _, rewards, terminated, _, info = envs.step(off())
     assert info["time_s"].tolist() == [1.0, 0.0, 1.0]
-    assert info["_reward_failure"].tolist() == [True, False, True]
+    assert info["reward_failure"].tolist() == [0, 0, 0]
     assert rewards[1] == 0
     assert not terminated.any()
     assert info["failure"].tolist() == ["ok"] * 3

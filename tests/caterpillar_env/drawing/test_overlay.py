@@ -58,7 +58,7 @@ def test_numbers_have_units(monkeypatch):
     spring = SmaSpring(ambient_c=21.0)  # whose legend is not cached
     annotate(GREY, Readout(12.34, -0.0218, 45.6, "veered", "robot"), spring)
     assert written == [
-        "springs", "21", "68", "120 °C", "on the ground",
+        "springs", "21", "68", "120 °C",
         "robot", "12.3 s    -22 mm    46 J", "veered at 12.3 s",
     ]  # fmt: skip
 

@@ -1,4 +1,7 @@
+import os
 import re
+import subprocess
+import sys
 import warnings
 
 import mujoco
@@ -7,12 +10,18 @@ import pytest
 
 from caterpillar_env import CaterpillarEnv, CaterpillarVectorEnv, Morphology, Physics
 from caterpillar_env.drawing import rendering
-from caterpillar_env.drawing.overlay import CONTACT_RGB
-from caterpillar_env.drawing.rendering import Pictures, RenderingError, RobotRenderer, View
+from caterpillar_env.drawing.rendering import (
+    Pictures,
+    RenderingError,
+    RobotRenderer,
+    View,
+    choose_backend,
+)
 from caterpillar_env.drawing.scenery import CAMERAS, RULER
-from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import Crawl
 
+VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL")
+CONTACT_RGB = (1.0, 0.55, 0.05)
 pytestmark = pytest.mark.drawing
 WIDTH, HEIGHT = 96, 64
 SMALL = Morphology(segment_length_m=0.022, segment_radius_m=0.009)
@@ -46,8 +55,8 @@ def start(renderer):
     return renderer.model.qpos0.copy()
 
 
-def draw(renderer, qpos, temperature_c=25.0, readout=None):
-    return renderer.draw(qpos, np.full(12, temperature_c), readout).astype(int)
+def draw(renderer, qpos, temperature_c=25.0):
+    return renderer.draw(qpos, np.full(12, temperature_c)).astype(int)
 
 
 def count_pixels(picture, rgb):
@@ -105,7 +114,7 @@ def test_ruler_stays_beside_a_robot_that_veers(renderer, start):
 
 def test_each_row_is_drawn_with_its_body():
     crawl = Crawl([Morphology(), SMALL], Physics(), 1)
-    pictures = Pictures(crawl, View(WIDTH, HEIGHT), overlay=True)
+    pictures = Pictures(crawl, View(WIDTH, HEIGHT))
     frames = [pictures.draw(row) for row in (0, 1)]
     assert [pictures.renderer(row).body for row in (0, 1)] == [Morphology(), SMALL]
     kept = pictures.renderer(0)
@@ -171,11 +180,6 @@ def test_without_a_mode_nothing_is_drawn():
     assert CaterpillarVectorEnv(2).render() is None
 
 
-def test_render_needs_a_reset():
-    with pytest.raises(CaterpillarError, match=r"call reset\(\) before render\(\)"):
-        CaterpillarEnv(render_mode="rgb_array").render()
-
-
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_every_camera_shows_the_robot_differently(camera):
     env = drawing_env("rgb_array", camera_name=camera)
@@ -201,28 +205,55 @@ def test_invalid_views_are_rejected_at_once(kind, wrong, match):
         kind(render_mode="rgb_array", **wrong)
 
 
-def test_overlay_is_optional():
-    pictures = []
-    for overlay in (False, True):
-        env = drawing_env("rgb_array", overlay=overlay)
-        env.step(np.tile([-1.0, 1.0], 6))
-        pictures.append(env.render())
-        env.close()
-    differs = (pictures[0] != pictures[1]).any(axis=2)
-    assert differs[: HEIGHT // 3].mean() > 0.3
-    envs = CaterpillarVectorEnv(2, render_mode="rgb_array", width=WIDTH, height=HEIGHT, overlay=True)
-    envs.reset(seed=0)
-    (frame, _) = envs.render()
-    envs.close()
-    assert np.abs(frame[: HEIGHT // 3].astype(int) - pictures[0][: HEIGHT // 3]).mean() > 20
-
-
 def test_images_can_be_larger_than_the_models_buffer():
     env = CaterpillarEnv(render_mode="rgb_array", width=2000, height=40)
     env.reset(seed=0)
     picture = env.render()
     env.close()
     assert picture.shape == (40, 2000, 3)
+
+
+# Backends
+
+
+@pytest.fixture
+def headless(monkeypatch):
+    for name in VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+
+
+def test_default_is_egl(headless):
+    assert choose_backend() == "egl"
+
+
+@pytest.mark.parametrize(("name", "chosen"), [("DISPLAY", "glfw"), ("MUJOCO_GL", "mine")])
+def test_display_and_environment_variable_take_precedence(name, chosen, headless, monkeypatch):
+    monkeypatch.setenv(name, "mine")
+    assert choose_backend() == chosen
+
+
+def run(code):
+    """Run a program without a display and without MUJOCO_GL."""
+    environment = {name: value for name, value in os.environ.items() if name not in VARIABLES}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+
+
+def test_importing_changes_no_environment_variable():
+    run(
+        "import gymnasium, os\n"  # Gymnasium sets its own variable
+        "before = dict(os.environ)\n"
+        "import caterpillar_env.env, caterpillar_env.drawing.video\n"
+        "assert dict(os.environ) == before"
+    )
+
+
+def test_rendering_works_without_a_display_after_importing_mujoco():
+    run(
+        "import mujoco, caterpillar_env\n"
+        "env = caterpillar_env.CaterpillarEnv(render_mode='rgb_array', width=64, height=48)\n"
+        "env.reset(seed=0)\n"
+        "assert env.render().std() > 10"
+    )
 
 
 # Machines that cannot draw

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from caterpillar_env.drawing import rendering
+from caterpillar_env.drawing import rendering, video
 from caterpillar_env.drawing.rendering import RenderingError
 from caterpillar_env.drawing.video import Recording, VideoConfig, is_video_of, write_video
 from caterpillar_env.errors import CaterpillarError
@@ -71,7 +71,7 @@ def readouts(monkeypatch):
     """Readouts that are written on frames."""
     written = []
     monkeypatch.setattr(
-        rendering, "annotate", lambda frame, readout, spring: written.append(readout) or frame
+        video, "annotate", lambda frame, readout, spring: written.append(readout) or frame
     )
     return written
 
