@@ -83,7 +83,7 @@ class Policy:
             self.normalizer.save(str(partial))
             os.replace(partial, _statistics(path))
         if isinstance(self.actor, BaseAlgorithm):
-            self.actor.save(partial, exclude=["tensorboard_log"])
+            self.actor.save(partial)
             os.replace(partial, path)
 
     def crawl(

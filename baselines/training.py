@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,6 @@ from caterpillar_env.task import EPISODE_S
 from evolution.run.history import History
 from evolution.run.journal import Journal
 
-TENSORBOARD = "tensorboard"
 _PACKAGES = ("stable-baselines3", "sb3-contrib", "torch", "gymnasium")
 _MIN_ROLLOUTS = 5  #: minimum number of rollouts for co-design
 
@@ -40,7 +38,6 @@ def train(
     *,
     on_evaluation: Callable[[History], None] | None = None,
     on_progress: Callable[[float], None] | None = None,
-    tensorboard: bool = False,
     threads: int = 0,
 ) -> Training:
     """Train a policy and record the training run in a new folder.
@@ -55,17 +52,11 @@ def train(
         folder: folder to create; it must be empty if it exists.
         on_evaluation: called after every evaluation.
         on_progress: called after every step with the simulated seconds spent so far.
-        tensorboard: whether to write the algorithm's logs for TensorBoard.
         threads: number of simulation threads; 0 uses all cores. Results do not depend on it.
 
     Raises:
-        CaterpillarError: the folder is not empty or cannot be written.
-        CaterpillarError: the budget is too small, or TensorBoard is not installed.
+        CaterpillarError: the folder is not empty or cannot be written, or the budget is too small.
     """
-    if tensorboard and find_spec("tensorboard") is None:
-        raise CaterpillarError(
-            "TensorBoard is not installed: pip install 'caterpillar-sma[tensorboard]'"
-        )
     robots = CaterpillarVecEnv(
         config.env_id, hyperparameters(config).n_envs, threads=threads, morphology=config.morphology,
         randomization=config.randomize, **config.env_kwargs(),
@@ -82,7 +73,7 @@ def train(
             callbacks = [*map(_make_callback, hyperparameters(config).callback), recorder]
             if recorder.designs is not None:
                 callbacks.insert(0, recorder.designs)
-            model = _make_model(config, robots, folder / TENSORBOARD if tensorboard else None)
+            model = _make_model(config, robots)
             try:
                 while True:  # robots that fail use fewer seconds than their steps would
                     steps = max(int((config.budget_s - recorder.spent_s) / robots.vector_env.step_s), 1)
@@ -116,16 +107,15 @@ def _check_budget(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
     return reserve_s
 
 
-def _make_model(config: TrainConfig, robots: CaterpillarVecEnv, log: Path | None) -> BaseAlgorithm:
+def _make_model(config: TrainConfig, robots: CaterpillarVecEnv) -> BaseAlgorithm:
     """Make the algorithm and its environment, and seed both."""
     learning = hyperparameters(config)
     env: Any = VecMonitor(robots)
     if learning.normalize is not None:
         env = VecNormalize(env, **learning.normalize)
     model = ALGORITHMS[config.algorithm](
-        env=env, seed=config.seed, device="cpu", verbose=0,
-        tensorboard_log=None if log is None else str(log), **learning.model,
-    )  # fmt: skip
+        env=env, seed=config.seed, device="cpu", verbose=0, **learning.model
+    )
     # By default row i gets seed + i, so training runs with adjacent seeds would share rows.
     seeds = np.random.SeedSequence(config.seed).generate_state(robots.num_envs)
     robots.seed_rows(seeds.tolist())
@@ -192,8 +182,5 @@ class _Recorder(BaseCallback):
         policy.save(history.folder / "last.zip")
         if history.best is latest:
             policy.save(history.folder / "best.zip")
-        for name in ("distance_m", "energy_j"):
-            self.logger.record(f"evaluation/{name}", getattr(latest, name))
-        self.logger.record("time/simulated_s", self.spent_s)
         if self._on_evaluation is not None:
             self._on_evaluation(history)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 from baselines.config import TrainConfig
 from baselines.policy import TrainedRobot
@@ -29,8 +28,6 @@ class TrainArgs:
     """Run folder or best.json of an evolved robot, to use its body."""
     video: bool = True
     """Write best.mp4, a video of the best robot."""
-    track: Literal["nowhere", "tensorboard"] = "nowhere"
-    """tensorboard: also write TensorBoard logs to the folder."""
     threads: int = 0
     """Number of simulation threads; 0 uses all cores."""
     config: TrainConfig = field(default_factory=TrainConfig)
@@ -73,10 +70,12 @@ def train_command(argv: Sequence[str]) -> int:
             )
 
         history = train(
-            config, folder, on_evaluation=show,
+            config,
+            folder,
+            on_evaluation=show,
             on_progress=lambda spent_s: bar.update(task, completed=spent_s),
-            tensorboard=args.track == "tensorboard", threads=args.threads,
-        ).history  # fmt: skip
+            threads=args.threads,
+        ).history
     if not history.finished:
         console.print(f"stopped; {folder} contains the policies so far")
         return 130

@@ -150,11 +150,6 @@ def test_progress_increases_up_to_the_budget(tmp_path):
     assert 0 < spent_s[0] < spent_s[-1] <= 150.0
 
 
-def test_tensorboard_is_written_on_request(tmp_path):
-    train(config(budget_s=150.0), tmp_path / "run", tensorboard=True)
-    assert list((tmp_path / "run" / "tensorboard").rglob("events*"))
-
-
 @pytest.fixture
 def frictions(monkeypatch):
     """Friction of each robot after each reset of a training run."""

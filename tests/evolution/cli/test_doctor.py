@@ -15,7 +15,7 @@ def test_this_installation_is_complete():
     assert found["packages"].status == "ok"
     assert "mujoco 4." in found["packages"].found
     assert "ray" not in found["packages"].found.split()
-    assert {"extra rl", "extra ray", "extra tensorboard"} <= set(found)
+    assert {"extra rl", "extra ray"} <= set(found)
     assert not {"extra test", "extra docs"} & set(found)
     assert all(finding.status != "NO" for finding in found.values())
 
