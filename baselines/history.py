@@ -9,7 +9,7 @@ from baselines.config import TrainConfig, hyperparameters
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import Morphology
 from evolution.run.history import History
-from evolution.run.records import Evaluation
+from evolution.run.journal import Evaluation
 
 KIND = "training"
 

@@ -13,34 +13,32 @@ class CaterpillarError(ValueError):
     """A value, a file or a call that does not fit; base class of the other errors of this project."""
 
 
-def from_mapping(
-    kind: type[T], value: Any, what: str, error: type[CaterpillarError] = CaterpillarError
-) -> T:
+def from_mapping(kind: type[T], value: Any, what: str) -> T:
     """Create a dataclass from a mapping of fields. Missing fields keep their defaults.
 
     Args:
         kind: the dataclass.
         value: mapping of field names to values.
         what: name of the dataclass for error messages.
-        error: error class to raise if `value` is not a mapping, has an unknown field, or has a string
-            where a number is expected.
+
+    Raises:
+        CaterpillarError: `value` is not a mapping, has an unknown field, or has a string where a number
+            is expected.
     """
     if not isinstance(value, Mapping):
-        raise error(f"{what} must be a mapping of its fields; got {value!r}")
+        raise CaterpillarError(f"{what} must be a mapping of its fields; got {value!r}")
     known = {f.name: type(f.default) for f in fields(kind)}  # type: ignore[arg-type]
     if unknown := set(value) - set(known):
         got = ", ".join(sorted(map(str, unknown)))
-        raise error(f"{what} has no {got}; its fields are {', '.join(known)}")
+        raise CaterpillarError(f"{what} has no {got}; its fields are {', '.join(known)}")
     for name, given in value.items():
         if known[name] in (int, float) and isinstance(given, str):
-            raise error(f"{name} = {given!r} must be a number")
+            raise CaterpillarError(f"{name} = {given!r} must be a number")
     return kind(**value)
 
 
-def check_choice(
-    name: str, value: Any, choices: Any, error: type[CaterpillarError] = CaterpillarError
-) -> None:
-    """Raise `error` unless `value` is one of the values of the `Literal` type `choices`."""
+def check_choice(name: str, value: Any, choices: Any) -> None:
+    """Raise an error unless `value` is one of the values of the `Literal` type `choices`."""
     known = get_args(choices)
     if value not in known:
-        raise error(f"{name} = {value!r} must be one of {', '.join(known)}")
+        raise CaterpillarError(f"{name} = {value!r} must be one of {', '.join(known)}")

@@ -35,16 +35,12 @@ PRIORS: dict[Prior, str] = {
 }
 
 
-class ConfigError(CaterpillarError):
-    """A field of a run's configuration is unknown or out of range."""
-
-
 @dataclass(frozen=True)
 class RunConfig:
     """All settings that affect the result of a run.
 
     Raises:
-        ConfigError: a value is out of range.
+        CaterpillarError: a value is out of range.
     """
 
     seed: int = 0  #: seed of the optimizer; --mismatch-seed is that of the springs
@@ -66,24 +62,24 @@ class RunConfig:
 
     def __post_init__(self) -> None:
         if self.seed < 0:
-            raise ConfigError(f"seed = {self.seed} must not be negative")
+            raise CaterpillarError(f"seed = {self.seed} must not be negative")
         if self.generations < 1:
-            raise ConfigError(f"generations = {self.generations} must be at least 1")
+            raise CaterpillarError(f"generations = {self.generations} must be at least 1")
         for name, what in _LIMITS.items():
             value = getattr(self, name)
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if value is not None and not (number and 0 < value < np.inf):
-                raise ConfigError(f"{name} = {value!r} must be {what}, or None for no limit")
+                raise CaterpillarError(f"{name} = {value!r} must be {what}, or None for no limit")
         for name, kind in get_type_hints(RunConfig).items():
             if get_origin(kind) is Literal:
-                check_choice(name, getattr(self, name), kind, ConfigError)
+                check_choice(name, getattr(self, name), kind)
         if self.optimizer != "ga" and self.prior in ("init-only", "mutation-only"):
-            raise ConfigError(
+            raise CaterpillarError(
                 f"prior = {self.prior!r} needs the genetic algorithm; with "
                 f"{self.optimizer} choose preprocessed, uniform or mirrored"
             )
         if not np.isfinite(self.failed_fitness):
-            raise ConfigError(f"failed_fitness = {self.failed_fitness} must be a finite number")
+            raise CaterpillarError(f"failed_fitness = {self.failed_fitness} must be a finite number")
         check_floor_ratio(self.floor_ratio)
         Encoding(self.physics, self.gait_period_s, self.genome)  # checks the gait period
 
@@ -92,14 +88,14 @@ class RunConfig:
         """Build a configuration from plain data, as returned by `to_dict`.
 
         Raises:
-            ConfigError: a field is unknown or invalid.
+            CaterpillarError: a field is unknown or invalid.
         """
         kinds = {"ga": GaConfig, "cma": CmaConfig, "physics": Physics}
         made = {
-            name: from_mapping(kinds[name], value, name, ConfigError) if name in kinds else value
+            name: from_mapping(kinds[name], value, name) if name in kinds else value
             for name, value in data.items()
         }
-        return from_mapping(cls, made, "a run's configuration", ConfigError)
+        return from_mapping(cls, made, "a run's configuration")
 
     def to_dict(self) -> dict[str, Any]:
         """Return the configuration as plain data for JSON."""

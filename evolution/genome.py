@@ -31,10 +31,6 @@ GenomeKind = Literal["shared", "full", "per-segment"]
 _DISPLAY_UNITS = {"m": (1000.0, "mm"), "kg": (1000.0, "g"), "rad": (math.degrees(1.0), "°")}
 
 
-class GenomeError(CaterpillarError):
-    """A genome has the wrong length, or a value that is not finite or outside [0, 1]."""
-
-
 class Gene(NamedTuple):
     """One gene: its name (with the unit), symbol, unit and bounds in that unit."""
 
@@ -69,7 +65,7 @@ class Encoding:
     kind: GenomeKind = "shared"
 
     def __post_init__(self) -> None:
-        check_choice("genome", self.kind, GenomeKind, GenomeError)
+        check_choice("genome", self.kind, GenomeKind)
         count_steps(self.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
 
     @cached_property
@@ -91,17 +87,19 @@ class Encoding:
         """Validate genomes (P, n), or a single one (n,). Returns an array of shape (P, n).
 
         Raises:
-            GenomeError: wrong shape, or a value that is not in [0, 1].
+            CaterpillarError: wrong shape, or a value that is not in [0, 1].
         """
         array = np.asarray(genomes, dtype=np.float64)
         array = array[None] if array.ndim == 1 else array
         n = len(self.genes)
         if array.ndim != 2 or array.shape[1] != n:
-            raise GenomeError(f"genomes must have shape ({n},) or (P, {n}); got {np.shape(genomes)}")
+            raise CaterpillarError(
+                f"genomes must have shape ({n},) or (P, {n}); got {np.shape(genomes)}"
+            )
         bad = ~((array >= 0) & (array <= 1))
         if bad.any():
             row, column = np.argwhere(bad)[0]
-            raise GenomeError(
+            raise CaterpillarError(
                 f"gene {column} of genome {row} is {array[row, column]}; genes must lie in [0, 1]"
             )
         return array
@@ -113,7 +111,7 @@ class Encoding:
             P bodies, and timings of shape (P, pairs), or (P, springs) if the kind is `full`.
 
         Raises:
-            GenomeError: see `check`.
+            CaterpillarError: see `check`.
         """
         array = self.check(genomes)
         size = len(PARAMETERS)

@@ -39,8 +39,8 @@ class ReplayArgs:
     video: bool = True
     """Write a video."""
     out: Path | None = None
-    """Video file, .mp4 or .gif. By default, replay.mp4 (film.mp4 with --generations) beside the source;
-    for several sources, replay.mp4 in the current folder."""
+    """Video file, .mp4 or .gif. By default, replay.mp4 (film.mp4 with --generations) beside the first
+    source."""
     picture: VideoConfig = field(default_factory=VideoConfig)
 
     def __post_init__(self) -> None:
@@ -57,7 +57,9 @@ def replay_command(argv: Sequence[str]) -> int:
     """Simulate recorded robots again, and make a video."""
     args = cli.parse(ReplayArgs, argv, "replay")
     robots = _load_robots(args)
-    out = args.out or _default_video(args)
+    first = args.source[0]
+    name = "film.mp4" if args.generations else "replay.mp4"
+    out = args.out or (first if first.is_dir() else first.parent) / name
     if args.video:
         check_path(out)
     recordings, comparisons = [], []
@@ -90,9 +92,6 @@ def _load_robots(args: ReplayArgs) -> list[tuple[str, Robot]]:
         return [(title, Robot.load(path)) for title, path in zip(titles, args.source, strict=True)]
     leaders = History.read(args.source[0]).leaders()
     last = len(leaders) - 1
-    if max(args.generations) > last:
-        print(f"the last generation of {args.source[0]} is {last}; showing it instead of later ones",
-              file=sys.stderr)  # fmt: skip
     numbers = dict.fromkeys(min(number, last) for number in args.generations)
     return [(f"generation {number}", leaders[number]) for number in numbers]
 
@@ -102,14 +101,6 @@ def _title(path: Path) -> str:
     if path.is_dir():
         return path.resolve().name
     return path.resolve().parent.name if path.name == "best.json" else path.stem
-
-
-def _default_video(args: ReplayArgs) -> Path:
-    if len(args.source) > 1:
-        return Path("replay.mp4")
-    (source,) = args.source
-    folder = source if source.is_dir() else source.parent
-    return folder / ("film.mp4" if args.generations else "replay.mp4")
 
 
 def _compare(recording: Recording, timestep_s: float | None) -> dict[str, Any]:

@@ -12,7 +12,6 @@ import tyro
 from evolution import cli
 from evolution.cli.running import Reporter, WorkerArgs, finish, print_commands
 from evolution.run.history import History
-from evolution.run.journal import Journal
 from evolution.run.loop import resume
 
 
@@ -24,8 +23,6 @@ class ResumeArgs:
     """Run folder."""
     generations: int | None = None
     """New total number of generations, to make the run longer."""
-    repair: bool = False
-    """Repair a damaged journal first. This keeps the evaluations that precede the damage."""
     workers: WorkerArgs = field(default_factory=WorkerArgs)
 
 
@@ -33,9 +30,6 @@ def resume_command(argv: Sequence[str]) -> int:
     """Continue a run that was stopped, or make a finished one longer."""
     args = cli.parse(ResumeArgs, argv, "resume")
     workers, console = args.workers, cli.console()
-    if args.repair:
-        kept = Journal.repair(args.folder)
-        console.print(f"kept {kept} evaluations; the damaged file is kept beside the journal")
     history = History.read(args.folder)
     generations = max(args.generations or 0, history.config.generations)
     ending = history.ending(generations)

@@ -10,10 +10,6 @@ from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 
 
-class OptimizerError(CaterpillarError):
-    """An optimizer has an invalid setting, or was called with invalid arguments."""
-
-
 class Optimizer(Protocol):
     """Interface of an optimizer that can drive a run.
 
@@ -46,15 +42,15 @@ class GenerationalOptimizer:
         """Receive the fitness, (P,), of the genomes that `ask` returned. Higher is better.
 
         Raises:
-            OptimizerError: the genomes differ from those that `ask` returned, or the fitness has the
+            CaterpillarError: the genomes differ from those that `ask` returned, or the fitness has the
                 wrong shape or non-finite values.
         """
         if self._asked is None or not np.array_equal(genomes, self._asked):
-            raise OptimizerError("tell needs exactly the genomes that ask returned, in the same order")
+            raise CaterpillarError("tell needs exactly the genomes that ask returned, in the same order")
         if fitness.shape != (len(genomes),):
-            raise OptimizerError(f"fitness must have shape ({len(genomes)},); got {fitness.shape}")
+            raise CaterpillarError(f"fitness must have shape ({len(genomes)},); got {fitness.shape}")
         if not np.isfinite(fitness).all():
-            raise OptimizerError("fitness must be finite; assign a finite value to failures too")
+            raise CaterpillarError("fitness must be finite; assign a finite value to failures too")
         self._learn(genomes, fitness)
         self._asked = None
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from evolution.optimizers.base import GenerationalOptimizer, OptimizerError
+from caterpillar_env.errors import CaterpillarError
+from evolution.optimizers.base import GenerationalOptimizer
 from evolution.priors.distributions import ClippedGaussian, Distribution
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ class CmaConfig:
     """Settings of CMA-ES.
 
     Raises:
-        OptimizerError: a value is out of range.
+        CaterpillarError: a value is out of range.
     """
 
     cma_population: int | None = None  #: genomes per generation; None: pycma's default, 4 + 3 ln n
@@ -30,11 +31,11 @@ class CmaConfig:
 
     def __post_init__(self) -> None:
         if self.cma_population is not None and self.cma_population < 4:
-            raise OptimizerError(
+            raise CaterpillarError(
                 f"cma_population = {self.cma_population} must be at least 4, or left out"
             )
         if not 0 < self.cma_sigma <= 1:
-            raise OptimizerError(f"cma_sigma = {self.cma_sigma} must lie in (0, 1]")
+            raise CaterpillarError(f"cma_sigma = {self.cma_sigma} must lie in (0, 1]")
 
 
 class CmaEs(GenerationalOptimizer):

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import check_choice
-from evolution.optimizers.base import GenerationalOptimizer, OptimizerError
+from caterpillar_env.errors import CaterpillarError, check_choice
+from evolution.optimizers.base import GenerationalOptimizer
 from evolution.priors.distributions import Distribution
 
 Crossover = Literal["uniform", "one-point", "two-point"]
@@ -25,7 +25,7 @@ class GaConfig:
     crossed nor mutated. The other defaults are our interpretation.
 
     Raises:
-        OptimizerError: a value is out of range.
+        CaterpillarError: a value is out of range.
     """
 
     population: int = 200  #: genomes per generation, for random search too
@@ -37,13 +37,13 @@ class GaConfig:
 
     def __post_init__(self) -> None:
         if self.population < 2:
-            raise OptimizerError(f"population = {self.population} must be at least 2")
+            raise CaterpillarError(f"population = {self.population} must be at least 2")
         if self.hall_of_fame < 0:
-            raise OptimizerError(f"hall_of_fame = {self.hall_of_fame} must not be negative")
+            raise CaterpillarError(f"hall_of_fame = {self.hall_of_fame} must not be negative")
         for name in ("crossover_rate", "mutation_rate"):
             if not 0 <= getattr(self, name) <= 1:
-                raise OptimizerError(f"{name} = {getattr(self, name)} must lie in [0, 1]")
-        check_choice("crossover", self.crossover, Crossover, OptimizerError)
+                raise CaterpillarError(f"{name} = {getattr(self, name)} must lie in [0, 1]")
+        check_choice("crossover", self.crossover, Crossover)
 
     @property
     def elites(self) -> int:
@@ -62,10 +62,10 @@ def roulette(fitness: Array, draws: int, rng: np.random.Generator) -> NDArray[np
         rng: source of randomness.
 
     Raises:
-        OptimizerError: a fitness value is negative or not finite.
+        CaterpillarError: a fitness value is negative or not finite.
     """
     if not (np.isfinite(fitness).all() and (fitness >= 0).all()):
-        raise OptimizerError("roulette selection needs fitness that is finite and not negative")
+        raise CaterpillarError("roulette selection needs fitness that is finite and not negative")
     peak = fitness.max(initial=0.0)
     weight = fitness / peak if peak > 0 else np.ones_like(fitness)  # avoids overflow and underflow
     wheel = np.cumsum(weight)

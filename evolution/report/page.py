@@ -9,12 +9,6 @@ from typing import Any
 
 import jinja2
 
-from caterpillar_env.errors import CaterpillarError
-
-
-class PageError(CaterpillarError):
-    """A page or one of its figures cannot be written."""
-
 
 def render(template: str, filters: dict[str, Callable[..., str]], **contents: Any) -> str:
     """Render the text of a page.

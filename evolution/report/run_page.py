@@ -14,13 +14,14 @@ from typing import Any, NamedTuple
 from matplotlib.figure import Figure
 
 from caterpillar_env.drawing.video import is_video_of
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import EPISODE_S, Failure
 from caterpillar_env.validation.gaits import measure_gait
 from evolution.config import OPTIMIZERS, PRIORS, RunConfig
 from evolution.genome import gene_values
 from evolution.priors.distributions import ClippedGaussian
 from evolution.report import figures as draw
-from evolution.report.page import PageError, data_url, render
+from evolution.report.page import data_url, render
 from evolution.run.history import History
 
 PAGE = "report.html"
@@ -47,7 +48,7 @@ def write(history: History) -> Path:
     """Write `convergence.png`, `gait.png` and `report.html` into the run folder. Return the page's path.
 
     Raises:
-        PageError: a file cannot be written.
+        CaterpillarError: a file cannot be written.
     """
     folder, generations, best = history.folder, history.generations, history.best_robot
     drawings: dict[str, Figure] = {}
@@ -63,7 +64,7 @@ def write(history: History) -> Path:
         svgs = {name: draw.inline_svg(figure, name) for name, figure in drawings.items()}
         path.write_text(page(history, svgs), encoding="utf-8")
     except OSError as error:
-        raise PageError(
+        raise CaterpillarError(
             f"cannot write into {folder}: {error.strerror}; free some space, or copy the run to a "
             "folder that can be written"
         ) from None

@@ -20,10 +20,6 @@ class JournalError(CaterpillarError):
     """A journal cannot be opened, read or written."""
 
 
-class JournalDamagedError(JournalError):
-    """A journal's file is damaged; `Journal.repair` recovers the evaluations before the damage."""
-
-
 def is_in_use(folder: Path) -> bool:
     """Return whether a process has the journal of a folder open for writing."""
     try:
@@ -50,17 +46,17 @@ def lock(folder: Path) -> IO[str]:
     raise JournalError(f"another process is working on {folder}; wait until it ends, or stop it")
 
 
-def damaged(path: Path, why: str) -> JournalDamagedError:
-    """Return an error that reports damage and explains how to repair it."""
-    return JournalDamagedError(
-        f"{path} is damaged: {why}. `caterpillar resume {path.parent} --repair` keeps the evaluations "
-        "before the damage and continues from there; the damaged file is kept beside it"
+def damaged(path: Path, why: str) -> JournalError:
+    """Return an error that reports damage."""
+    return JournalError(
+        f"{path} is damaged: {why}. Restore a copy of it, or repeat the run: the configuration in "
+        "report.html gives the same result"
     )
 
 
 @contextmanager
 def explain_errors(path: Path) -> Iterator[None]:
-    """Convert SQLite and file system errors to a `JournalError`, and damage to `JournalDamagedError`."""
+    """Convert SQLite and file system errors to a `JournalError`, also for damage."""
     try:
         yield
     except (sqlite3.OperationalError, OSError) as error:

@@ -24,10 +24,6 @@ _CONNECT_TIMEOUT_S = 5.0
 OnProgress = Callable[[float], None]  #: called with the share that is evaluated, in [0, 1]
 
 
-class EvaluationError(CaterpillarError):
-    """Ray is not installed, or its cluster cannot be reached."""
-
-
 class Evaluator(Protocol):
     """Interface of evaluators. The context manager releases the workers."""
 
@@ -98,13 +94,7 @@ class LocalEvaluator(Evaluator):
 class RayEvaluator(Evaluator):
     """Evaluates on the workers of a Ray cluster, one chunk per worker at a time.
 
-    The chunk of a lost worker is evaluated again elsewhere.
-
-    Args:
-        address: see `connect_ray`.
-
-    Raises:
-        EvaluationError: see `connect_ray`.
+    The chunk of a lost worker is evaluated again elsewhere. For the address, see `connect_ray`.
     """
 
     def __init__(self, address: str | None = None) -> None:
@@ -150,12 +140,12 @@ def connect_ray(address: str | None = None) -> Iterator[None]:
             cluster on this machine and stops it at the end of the context.
 
     Raises:
-        EvaluationError: Ray is not installed, or no cluster can be reached.
+        CaterpillarError: Ray is not installed, or no cluster can be reached.
     """
     try:
         import ray
     except ImportError:
-        raise EvaluationError("Ray is not installed: pip install 'caterpillar-sma[ray]'") from None
+        raise CaterpillarError("Ray is not installed: pip install 'caterpillar-sma[ray]'") from None
     if ray.is_initialized():
         yield
         return
@@ -164,7 +154,7 @@ def connect_ray(address: str | None = None) -> Iterator[None]:
     try:
         ray.init(address, log_to_driver=False, include_dashboard=False, logging_level="ERROR")
     except (ConnectionError, ValueError, RuntimeError) as error:
-        raise EvaluationError(f"no Ray cluster at {address or 'this machine'}: {error}") from None
+        raise CaterpillarError(f"no Ray cluster at {address or 'this machine'}: {error}") from None
     try:
         yield
     finally:
@@ -179,7 +169,7 @@ def _check_reachable(address: str | None) -> None:
     try:
         socket.create_connection((host, int(port)), timeout=_CONNECT_TIMEOUT_S).close()
     except OSError as error:
-        raise EvaluationError(
+        raise CaterpillarError(
             f"no Ray cluster at {address} ({error.strerror or error}); `ray start --head` starts one; "
             "without an address, one is started on this machine"
         ) from None

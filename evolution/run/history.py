@@ -18,16 +18,11 @@ from caterpillar_env.robot import Outcomes, Robot
 from caterpillar_env.task import Failure
 from evolution.config import RunConfig
 from evolution.genome import gene_values
-from evolution.run.journal import Journal
+from evolution.run.journal import Completion, Evaluation, Journal
 from evolution.run.objective import OBJECTIVES, Objective, distance, find_best, score
-from evolution.run.records import Completion, Evaluation
 
 if TYPE_CHECKING:
     import polars
-
-
-class RunError(CaterpillarError):
-    """A run cannot start, be resumed or be read as requested."""
 
 
 class Generation(NamedTuple):
@@ -103,10 +98,10 @@ class History:
         """The configuration of an evolutionary run.
 
         Raises:
-            RunError: the folder holds a training run.
+            CaterpillarError: the folder holds a training run.
         """
         if self.kind != "evolution":
-            raise RunError(
+            raise CaterpillarError(
                 f"{self.folder} holds a {self.kind} run, not an evolutionary run; use `caterpillar rl`"
             )
         data = {k: v for k, v in self.configuration.items() if not k.startswith("own_")}
@@ -173,10 +168,10 @@ class History:
         Until a robot qualifies as the best, the robot with the largest distance takes its place.
 
         Raises:
-            RunError: no generation is complete.
+            CaterpillarError: no generation is complete.
         """
         if not self.generations:
-            raise RunError(
+            raise CaterpillarError(
                 f"{self.folder} has no completed generation; continue with "
                 f"`caterpillar resume {self.folder}`"
             )
@@ -228,12 +223,12 @@ class History:
         """Return how many genomes (P, n) of the next generation are in the journal already.
 
         Raises:
-            RunError: the journal has different genomes in this place.
+            CaterpillarError: the journal has different genomes in this place.
         """
         known = self._next_rows()
         for evaluation, genome in zip(known, genomes, strict=False):
             if not np.array_equal(evaluation.genome, genome):
-                raise RunError(
+                raise CaterpillarError(
                     f"evaluation {evaluation.number} in {self._journal.path} has a different genome "
                     "from the one that the optimizer proposes now. The package or NumPy has changed, or "
                     "the journal belongs to a different run. Install the versions in its table "

@@ -15,23 +15,26 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, closing
+from datetime import datetime
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from caterpillar_env.files import unused
+from caterpillar_env.arrays import Array
 from caterpillar_env.task import Failure
 from evolution.run.database import JournalError, damaged, digest, explain_errors, lock
-from evolution.run.records import Completion, Evaluation, Session, fingerprint
 
 FILE = "journal.sqlite"
 SCHEMA = 2  #: schema 1 had no table `generations`
 _APPLICATION = 0x43415450  # "CATP"
 _BUSY_S = 60.0  # how long to wait for another connection to finish reading
+_PACKAGES = ("caterpillar-sma", "mujoco", "numpy", "scipy", "cma")
 _FAILURES = {failure.label: failure for failure in Failure}
 
 _GENERATIONS = """
@@ -66,6 +69,51 @@ CREATE TABLE evaluations (
 """
 
 
+class Evaluation(NamedTuple):
+    """One genome and its outcome."""
+
+    number: int  #: index among all evaluations of the run, from 0
+    generation: int
+    genome: Array  #: genes in [0, 1], shape (n,)
+    failure: Failure
+    distance_m: float
+    energy_j: float
+    simulated_s: float
+    session: int
+
+
+class Completion(NamedTuple):
+    """The state of a run when a generation was completed."""
+
+    generation: int
+    evaluations: int  #: number of evaluations of the run so far
+    best: int | None  #: number of the best evaluation so far
+    objective: float | None  #: objective of that evaluation
+
+
+class Session(NamedTuple):
+    """One start or resumption of a run."""
+
+    number: int  #: number of the session, from 1
+    started: str  #: date and time, UTC
+    finished: str | None  #: date and time, UTC; None if the run did not end in this session
+    fingerprint: dict[str, str]  #: versions and machine type, see `fingerprint`
+
+    @property
+    def wall_s(self) -> float | None:
+        """Wall time in s, to the second; None if the end was not recorded."""
+        if self.finished is None:
+            return None
+        start, end = datetime.fromisoformat(self.started), datetime.fromisoformat(self.finished)
+        return (end - start).total_seconds()
+
+
+def fingerprint(packages: Sequence[str] = ()) -> dict[str, str]:
+    """Return the versions, also of additional packages, and the machine type that results depend on."""
+    versions = {name: version(name) for name in (*_PACKAGES, *packages)}
+    return versions | {"python": platform.python_version(), "machine": platform.machine()}
+
+
 class Journal:
     """The open journal of one run. Only one process at a time can open it for writing.
 
@@ -75,7 +123,7 @@ class Journal:
 
     Raises:
         JournalError: there is no journal, another process is writing to it, or it has a newer schema.
-        JournalDamagedError: the file is damaged.
+        JournalError: the file is damaged.
     """
 
     def __init__(self, folder: Path, *, read_only: bool = False) -> None:
@@ -218,7 +266,7 @@ class Journal:
         """Yield all evaluations, in order.
 
         Raises:
-            JournalDamagedError: an evaluation is missing or was altered.
+            JournalError: an evaluation is missing or was altered.
         """
         for number, values in enumerate(self._read("evaluations", "evaluation")):
             if values[0] != number:
@@ -231,7 +279,7 @@ class Journal:
         """Return the completed generations, in order. Files with schema 1 record none.
 
         Raises:
-            JournalDamagedError: a row was altered.
+            JournalError: a row was altered.
         """
         if self._schema == 1:
             return []
@@ -248,49 +296,6 @@ class Journal:
                 count += 1
         except sqlite3.DatabaseError as error:
             raise damaged(self.path, f"{key} {count} cannot be read ({error})") from None
-
-    @classmethod
-    def repair(cls, folder: Path) -> int:
-        """Keep the evaluations before the first damage.
-
-        The damaged file is kept as `journal.sqlite.damaged`, numbered if that exists. Resuming the run
-        records the completed generations again.
-
-        Returns:
-            Number of evaluations kept.
-
-        Raises:
-            JournalError: the configuration cannot be read.
-        """
-        path = _find(folder)
-        kept: list[list[Any]] = []
-        with closing(lock(folder)):
-            try:
-                with closing(sqlite3.connect(path)) as db:
-                    db.execute("PRAGMA writable_schema = ON")  # reads a truncated file too
-                    (configuration,) = db.execute("SELECT configuration FROM run").fetchone()
-                    sessions = db.execute("SELECT * FROM sessions").fetchall()
-                    settings = json.loads(configuration)
-                    rows = db.execute("SELECT * FROM evaluations ORDER BY evaluation")
-                    with suppress(sqlite3.DatabaseError):  # the damage begins here
-                        for *values, stored in rows:
-                            if values[0] != len(kept) or stored != digest(values):
-                                break
-                            kept.append(values)
-            except (sqlite3.DatabaseError, TypeError, ValueError):
-                raise JournalError(
-                    f"the configuration in {path} is damaged: nothing can be kept; start a new run"
-                ) from None
-            damaged_file = unused(folder, f"{FILE}.damaged")
-            for suffix in ("", "-wal", "-shm", "-journal"):
-                old = path.with_name(FILE + suffix)
-                if old.exists():
-                    old.replace(f"{damaged_file}{suffix}")
-        with cls.create(folder, settings) as journal:
-            with journal._db:
-                journal._db.executemany("INSERT INTO sessions VALUES (?, ?, ?, ?)", sessions)
-            journal._insert("evaluations", kept)
-        return len(kept)
 
 
 def _find(folder: Path) -> Path:

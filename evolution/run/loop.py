@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from caterpillar_env.arrays import Array
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import make_folder
 from evolution.config import RunConfig
 from evolution.optimizers.base import Optimizer
 from evolution.run.evaluators import CHUNK, Evaluator, LocalEvaluator, OnProgress
-from evolution.run.history import Generation, History, RunError
-from evolution.run.journal import Journal
+from evolution.run.history import Generation, History
+from evolution.run.journal import Journal, fingerprint
 from evolution.run.objective import Objective, score
-from evolution.run.records import fingerprint
 
 
 def evolve(
@@ -53,10 +53,8 @@ def evolve(
         The history of the run. `history.finished` is False if the run was stopped.
 
     Raises:
-        CaterpillarError: the folder is not empty or cannot be written.
-        GenomeError: the optimizer proposed an invalid genome.
-        ObjectiveError: your own objective returned an array of the wrong shape, or non-finite values.
-        EvaluationError: the evaluator cannot be used.
+        CaterpillarError: the folder is not empty or cannot be written, the optimizer proposed an invalid
+            genome, or your own objective returned a wrong shape or non-finite values.
     """
     folder = Path(folder)
     own = {"own_optimizer": _name(optimizer), "own_objective": _name(objective)}
@@ -91,25 +89,22 @@ def resume(
         on_progress: see `evolve`.
         on_warning: called with warnings about changes that may alter the result.
 
-    Returns:
-        The history of the run.
-
     Raises:
-        JournalError: the journal cannot be opened, see `evolution.run.journal.Journal`.
-        RunError: the optimizer proposes genomes that differ from those in the journal, or your own
-            optimizer or objective is missing.
+        JournalError: the journal cannot be opened, see `Journal`.
+        CaterpillarError: the optimizer proposes genomes that differ from those in the journal, or your
+            own optimizer or objective is missing.
     """
     with Journal(Path(folder)) as journal:
         history = History(journal, objective)
         given = {"optimizer": optimizer, "objective": objective}
         for what, name in (("optimizer", history.own_optimizer), ("objective", history.own_objective)):
             if name is not None and given[what] is None:
-                raise RunError(
+                raise CaterpillarError(
                     f"{folder} was run with your own {what} ({name}); resume it in Python with "
                     f"evolution.resume(folder, {what}=...)"
                 )
         if generations is not None and generations < history.config.generations:
-            raise RunError(
+            raise CaterpillarError(
                 f"a run can only be made longer: it has {history.config.generations} generations, "
                 f"and generations = {generations} is fewer"
             )

@@ -17,10 +17,6 @@ ObjectiveName = Literal["distance", "distance-per-energy"]
 Objective = Callable[[Outcomes], Array]
 
 
-class ObjectiveError(CaterpillarError):
-    """An objective returned an array of the wrong shape, or non-finite values."""
-
-
 def distance(outcomes: Outcomes) -> Array:
     """Return the distance crawled forwards in m, (P,). A robot that ends behind its start scores 0."""
     return np.maximum(outcomes.distance_m, 0.0)
@@ -47,13 +43,13 @@ def score(objective: Objective, outcomes: Outcomes, failed_fitness: float) -> Ar
         failed_fitness: fitness of every robot that failed.
 
     Raises:
-        ObjectiveError: the objective returned an array of the wrong shape, or NaN or infinity for a
+        CaterpillarError: the objective returned an array of the wrong shape, or NaN or infinity for a
             robot that did not fail.
     """
     healthy = outcomes.failure == Failure.NONE
     values = np.asarray(objective(outcomes), dtype=np.float64)
     if values.shape != healthy.shape or not np.isfinite(values[healthy]).all():
-        raise ObjectiveError(
+        raise CaterpillarError(
             f"an objective must return {len(healthy)} finite numbers, one per robot, shape "
             f"{healthy.shape}; got {values.tolist()}, shape {values.shape}"
         )

@@ -10,7 +10,7 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import LOWER, NAMES, UPPER, Morphology
 from caterpillar_env.physics import Physics
-from evolution.genome import Encoding, GenomeError
+from evolution.genome import Encoding
 
 PERIOD_S = 3.0
 
@@ -137,7 +137,7 @@ def test_nominal_body_is_reached_from_its_unit_values():
 
 @pytest.mark.parametrize("shape", [(19,), (2, 19), (2, 21), (1, 2, 20), ()])
 def test_wrong_shape_is_refused_and_both_shapes_named(shape):
-    with pytest.raises(GenomeError, match=r"shape \(20,\) or \(P, 20\); got \("):
+    with pytest.raises(CaterpillarError, match=r"shape \(20,\) or \(P, 20\); got \("):
         Encoding(Physics(), PERIOD_S).decode(np.zeros(shape))
 
 
@@ -145,14 +145,14 @@ def test_wrong_shape_is_refused_and_both_shapes_named(shape):
 def test_value_outside_the_unit_interval_is_refused_and_located(value):
     genomes = np.full((3, 20), 0.5)
     genomes[2, 11] = value
-    with pytest.raises(GenomeError, match="gene 11 of genome 2"):
+    with pytest.raises(CaterpillarError, match="gene 11 of genome 2"):
         Encoding().check(genomes)
 
 
 def test_unusable_encoding_is_refused():
     with pytest.raises(CaterpillarError, match=r"gait_period_s of 0\.25 s must be a whole multiple"):
         Encoding(Physics(), 0.25)
-    with pytest.raises(GenomeError, match="must be one of shared, full, per-segment"):
+    with pytest.raises(CaterpillarError, match="must be one of shared, full, per-segment"):
         Encoding(kind="half")
 
 
@@ -190,5 +190,5 @@ def test_per_segment_genome_has_a_body_for_every_segment(num_segments, expected)
 
 @pytest.mark.parametrize(("kind", "size"), [("full", 20), ("per-segment", 32), ("shared", 44)])
 def test_genome_of_another_kind_is_refused(kind, size):
-    with pytest.raises(GenomeError, match=r"genomes must have shape"):
+    with pytest.raises(CaterpillarError, match=r"genomes must have shape"):
         Encoding(Physics(), PERIOD_S, kind).decode(np.zeros((1, size)))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from evolution.optimizers.base import OptimizerError
+from caterpillar_env.errors import CaterpillarError
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.priors.distributions import ClippedGaussian, Uniform
 
@@ -58,7 +58,7 @@ def test_a_flat_beginning_does_not_stop_it():
 
 @pytest.mark.parametrize("settings", [{"cma_population": 3}, {"cma_sigma": 0.0}, {"cma_sigma": 1.5}])
 def test_unusable_settings_are_refused(settings):
-    with pytest.raises(OptimizerError, match=next(iter(settings))):
+    with pytest.raises(CaterpillarError, match=next(iter(settings))):
         CmaConfig(**settings)
 
 
@@ -66,7 +66,7 @@ def test_answers_to_other_questions_are_refused():
     optimizer = started()
     genomes = optimizer.ask()
     assert np.array_equal(optimizer.ask(), genomes)  # asked once more, the same question
-    with pytest.raises(OptimizerError, match="exactly the genomes"):
+    with pytest.raises(CaterpillarError, match="exactly the genomes"):
         optimizer.tell(genomes[::-1], np.zeros(len(genomes)))
-    with pytest.raises(OptimizerError, match="finite"):
+    with pytest.raises(CaterpillarError, match="finite"):
         optimizer.tell(genomes, np.full(len(genomes), np.nan))

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from evolution.optimizers.base import OptimizerError
+from caterpillar_env.errors import CaterpillarError
 from evolution.optimizers.ga import GaConfig, GeneticAlgorithm, roulette
 from evolution.priors.distributions import ClippedGaussian, Uniform
 
@@ -98,7 +98,7 @@ def test_scale_of_fitness_does_not_matter(scale):
 
 @pytest.mark.parametrize("bad", [-1e-12, -1.0, np.nan, np.inf, -np.inf])
 def test_fitness_that_is_no_weight_is_refused(bad):
-    with pytest.raises(OptimizerError, match="finite and not negative"):
+    with pytest.raises(CaterpillarError, match="finite and not negative"):
         roulette(np.array([1.0, bad, 2.0]), 3, np.random.default_rng(0))
 
 
@@ -272,25 +272,25 @@ def test_telling_of_other_genomes_is_refused():
     algorithm = ga()
     genomes = algorithm.ask()
     for other in (genomes[::-1], genomes[:-1], genomes + 1e-9, genomes[:, :-1]):
-        with pytest.raises(OptimizerError, match="exactly the genomes that ask returned"):
+        with pytest.raises(CaterpillarError, match="exactly the genomes that ask returned"):
             algorithm.tell(other, np.ones(len(other)))
     algorithm.tell(genomes, np.ones(12))
 
 
 def test_telling_without_or_twice_is_refused():
     algorithm = ga()
-    with pytest.raises(OptimizerError, match="tell"):
+    with pytest.raises(CaterpillarError, match="tell"):
         algorithm.tell(np.zeros((12, 6)), np.zeros(12))
     genomes = algorithm.ask()
     algorithm.tell(genomes, np.ones(12))
-    with pytest.raises(OptimizerError, match="tell"):
+    with pytest.raises(CaterpillarError, match="tell"):
         algorithm.tell(genomes, np.ones(12))
 
 
 @pytest.mark.parametrize("shape", [(11,), (13,), (12, 1), ()])
 def test_fitness_of_another_shape_is_refused(shape):
     algorithm = ga()
-    with pytest.raises(OptimizerError, match=r"shape \(12,\)"):
+    with pytest.raises(CaterpillarError, match=r"shape \(12,\)"):
         algorithm.tell(algorithm.ask(), np.ones(shape))
 
 
@@ -300,7 +300,7 @@ def test_fitness_that_is_not_finite_is_refused(bad):
     genomes = algorithm.ask()
     fitness = np.ones(12)
     fitness[3] = bad
-    with pytest.raises(OptimizerError, match="must be finite"):
+    with pytest.raises(CaterpillarError, match="must be finite"):
         algorithm.tell(genomes, fitness)
     algorithm.tell(genomes, np.ones(12))
 
@@ -486,5 +486,5 @@ def test_defaults_are_the_papers():
     ],
 )
 def test_unusable_settings_are_refused(settings, message):
-    with pytest.raises(OptimizerError, match=message):
+    with pytest.raises(CaterpillarError, match=message):
         GaConfig(**settings)

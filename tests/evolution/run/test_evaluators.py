@@ -9,10 +9,11 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes
-from evolution.genome import Encoding, GenomeError
-from evolution.run.evaluators import EvaluationError, LocalEvaluator, RayEvaluator, evaluate
+from evolution.genome import Encoding
+from evolution.run.evaluators import LocalEvaluator, RayEvaluator, evaluate
 
 ENCODING = Encoding(Physics(num_segments=2, timestep_s=0.01), gait_period_s=2.0)
 GENOMES = np.random.default_rng(0).random((12, 12))
@@ -106,14 +107,14 @@ def test_chunk_of_a_killed_worker_is_evaluated_again(cluster, reference, tmp_pat
 def test_an_exception_on_a_worker_is_raised(cluster):
     genomes = np.full((4, 12), 0.5)
     genomes[2, 0] = 7.0
-    with RayEvaluator() as evaluator, pytest.raises(GenomeError, match="genes must lie in"):
+    with RayEvaluator() as evaluator, pytest.raises(CaterpillarError, match="genes must lie in"):
         list(evaluator.map(ENCODING, [genomes]))
 
 
 def test_an_address_without_a_cluster_is_told():
     pytest.importorskip("ray")
     with (
-        pytest.raises(EvaluationError, match=r"no Ray cluster at 127\.0\.0\.1:1"),
+        pytest.raises(CaterpillarError, match=r"no Ray cluster at 127\.0\.0\.1:1"),
         RayEvaluator("127.0.0.1:1"),
     ):
         pass

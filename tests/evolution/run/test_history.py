@@ -10,6 +10,7 @@ import numpy as np
 import polars
 import pytest
 
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes, Robot
 from caterpillar_env.task import Failure
@@ -17,7 +18,7 @@ from evolution import cli
 from evolution.config import RunConfig
 from evolution.optimizers.ga import GaConfig
 from evolution.run.evaluators import LocalEvaluator
-from evolution.run.history import History, RunError, load
+from evolution.run.history import History, load
 from evolution.run.journal import FILE, Journal
 from evolution.run.loop import evolve
 
@@ -220,5 +221,5 @@ def test_a_journal_without_the_ends_of_generations_is_read_the_same(runs, tmp_pa
 
 def test_run_without_evaluations_has_no_leaders(tmp_path):
     Journal.create(tmp_path, {**CONFIG.to_dict(), "own_optimizer": None}).close()
-    with pytest.raises(RunError, match=r"has no completed generation; .* `caterpillar resume"):
+    with pytest.raises(CaterpillarError, match=r"has no completed generation; .* `caterpillar resume"):
         load(tmp_path).leaders()

@@ -14,9 +14,8 @@ import pytest
 
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure
-from evolution.run.database import JournalDamagedError, JournalError, is_in_use
-from evolution.run.journal import FILE, Journal
-from evolution.run.records import Completion, Evaluation
+from evolution.run.database import JournalError, is_in_use
+from evolution.run.journal import FILE, Completion, Evaluation, Journal
 
 CONFIGURATION = {"seed": 3, "generations": 2}
 
@@ -80,11 +79,9 @@ def test_a_second_process_is_refused(tmp_path, monkeypatch):
     written(tmp_path)
     monkeypatch.setattr("evolution.run.database.time.sleep", lambda _: None)  # between attempts
     with Journal(tmp_path) as journal:
-        for work in (Journal, Journal.repair):
-            with pytest.raises(JournalError, match="another process is working on"):
-                work(tmp_path)
+        with pytest.raises(JournalError, match="another process is working on"):
+            Journal(tmp_path)
         assert len(list(journal.evaluations())) == 5
-    assert not list(tmp_path.glob("*.damaged*"))  # nor was it taken away from the first
     Journal(tmp_path).close()
 
 
@@ -109,21 +106,13 @@ def test_what_is_no_journal_is_refused(tmp_path):
         Journal.create(tmp_path, CONFIGURATION)
 
 
-def test_truncated_file_is_told_and_what_is_whole_is_kept(tmp_path):
-    genomes, _ = written(tmp_path, parts=(400, 400))
+def test_truncated_file_is_told(tmp_path):
+    written(tmp_path, parts=(400, 400))
     path = tmp_path / FILE
     with path.open("r+b") as file:
         file.truncate(path.stat().st_size * 2 // 3)
-    with pytest.raises(JournalDamagedError, match=r"is damaged: .* --repair"):
+    with pytest.raises(JournalError, match="is damaged: "):
         Journal(tmp_path)
-    kept = Journal.repair(tmp_path)
-    assert 100 < kept < 800
-    with Journal(tmp_path) as journal:
-        rows = list(journal.evaluations())
-        assert journal.configuration == CONFIGURATION
-        assert len(journal.sessions) == 1
-    assert np.array_equal([e.genome for e in rows], genomes[:kept])
-    assert (tmp_path / f"{FILE}.damaged").exists()
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -139,11 +128,10 @@ def test_flipped_bits_are_never_taken_for_data(tmp_path, seed):
     content[place] ^= 1 << int(rng.integers(0, 8))
     path.write_bytes(content)
     with (
-        pytest.raises(JournalDamagedError, match=rf"evaluation {victim} (was altered|cannot be)"),
+        pytest.raises(JournalError, match=rf"evaluation {victim} (was altered|cannot be)"),
         Journal(tmp_path) as journal,
     ):
         list(journal.evaluations())
-    assert Journal.repair(tmp_path) == victim
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -162,13 +150,11 @@ def test_damage_anywhere_is_told_or_harmless(tmp_path, seed):
     assert np.array_equal([e.genome for e in rows], genomes)
 
 
-def test_nothing_can_be_kept_of_a_file_without_its_beginning(tmp_path):
+def test_file_without_its_beginning_is_told(tmp_path):
     written(tmp_path)
     (tmp_path / FILE).write_bytes(b"\0" * 5000)
     with pytest.raises(JournalError):
         Journal(tmp_path)
-    with pytest.raises(JournalError, match="nothing can be kept"):
-        Journal.repair(tmp_path)
 
 
 FULL_DISK = """
@@ -177,8 +163,7 @@ import numpy as np
 from pathlib import Path
 from caterpillar_env.task import Failure
 from evolution.run.database import JournalError
-from evolution.run.journal import Journal
-from evolution.run.records import Evaluation
+from evolution.run.journal import Evaluation, Journal
 folder = Path(sys.argv[1])
 journal = Journal.create(folder, {"seed": 3})
 journal.begin()
@@ -210,8 +195,7 @@ import sys
 import numpy as np
 from pathlib import Path
 from caterpillar_env.task import Failure
-from evolution.run.journal import Journal
-from evolution.run.records import Evaluation
+from evolution.run.journal import Evaluation, Journal
 journal = Journal.create(Path(sys.argv[1]), {"seed": 3})
 journal.begin()
 genome = np.full(20, 0.5)
@@ -254,7 +238,7 @@ def test_the_ends_of_generations_come_back(tmp_path):
     with db:
         db.execute("UPDATE generations SET best = 3 WHERE generation = 1")
     db.close()
-    with Journal(tmp_path) as journal, pytest.raises(JournalDamagedError, match="generation 1"):
+    with Journal(tmp_path) as journal, pytest.raises(JournalError, match="generation 1"):
         journal.generations()
 
 

@@ -11,16 +11,16 @@ from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes, Robot, simulate
 from caterpillar_env.task import Failure
-from evolution.config import ConfigError, RunConfig
+from evolution.config import RunConfig
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig
 from evolution.optimizers.random_search import RandomSearch
 from evolution.priors.distributions import ClippedGaussian, Uniform
 from evolution.run.evaluators import LocalEvaluator
-from evolution.run.history import RunError, load
+from evolution.run.history import load
 from evolution.run.journal import Journal, fingerprint
 from evolution.run.loop import evolve, resume
-from evolution.run.objective import OBJECTIVES, ObjectiveError, find_best, score
+from evolution.run.objective import OBJECTIVES, find_best, score
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
 #: So stiff, and so coarsely stepped, that every robot's integration breaks down at once.
@@ -344,7 +344,7 @@ def test_configuration_survives_json():
         optimizer="cma-es", prior="uniform", cma=CmaConfig(cma_population=9), physics=SHORT
     )  # fmt: skip
     assert RunConfig.from_dict(config.to_dict()) == config
-    with pytest.raises(ConfigError, match="a run's configuration has no luck; its fields are seed"):
+    with pytest.raises(CaterpillarError, match="a run's configuration has no luck; its fields are seed"):
         RunConfig.from_dict({**config.to_dict(), "luck": 1})
 
 
@@ -444,7 +444,7 @@ def test_a_run_can_be_made_longer_and_not_shorter(tmp_path):
         .equals(load(tmp_path / "long").table().drop("session"))
     )
     assert len(longer.generations) == 5
-    with pytest.raises(RunError, match="a run can only be made longer: it has 5 generations"):
+    with pytest.raises(CaterpillarError, match="a run can only be made longer: it has 5 generations"):
         resume(tmp_path / "short", generations=3)
 
 
@@ -480,7 +480,7 @@ def test_genome_that_differs_in_replay_is_an_error_that_says_so(tmp_path):
     evolve(TINY, tmp_path, evaluator=ONE)
     with Journal(tmp_path) as journal:
         journal.configure({**replace(TINY, seed=9).to_dict(), "own_optimizer": None})
-    with pytest.raises(RunError, match=r"evaluation 0 in .* has a different genome") as error:
+    with pytest.raises(CaterpillarError, match=r"evaluation 0 in .* has a different genome") as error:
         resume(tmp_path)
     assert "start a new run" in str(error.value)
 
@@ -531,7 +531,7 @@ def test_an_optimizer_from_elsewhere_drives_a_run_and_its_resumption(tmp_path):
     config = RunConfig(generations=3, physics=SHORT)
     evolve(config, tmp_path / "whole", evaluator=ONE, optimizer=Halves(12))
     evolve(replace(config, generations=2), tmp_path / "part", evaluator=ONE, optimizer=Halves(12))
-    with pytest.raises(RunError, match=r"your own optimizer \(Halves\)"):
+    with pytest.raises(CaterpillarError, match=r"your own optimizer \(Halves\)"):
         resume(tmp_path / "part")
     resume(tmp_path / "part", generations=3, evaluator=ONE, optimizer=Halves(12))
     assert (
@@ -573,7 +573,7 @@ def test_an_objective_of_ones_own_is_told_to_the_optimizer(tmp_path):
 def test_a_run_with_an_objective_of_ones_own_goes_on_with_it_alone(tmp_path):
     evolve(CONFIG, tmp_path / "whole", evaluator=ONE, objective=thrift)
     evolve(replace(CONFIG, generations=2), tmp_path / "part", evaluator=ONE, objective=thrift)
-    with pytest.raises(RunError, match=r"your own objective \(thrift\); .*objective=\.\.\."):
+    with pytest.raises(CaterpillarError, match=r"your own objective \(thrift\); .*objective=\.\.\."):
         resume(tmp_path / "part", generations=3)
     resume(tmp_path / "part", generations=3, evaluator=ONE, objective=thrift)
     part, whole = load(tmp_path / "part").table(), load(tmp_path / "whole").table()
@@ -592,7 +592,7 @@ def test_a_run_with_an_objective_of_ones_own_goes_on_with_it_alone(tmp_path):
     ],
 )
 def test_an_objective_that_gives_no_fitness_is_refused(tmp_path, objective):
-    with pytest.raises(ObjectiveError, match=r"must return 4 finite numbers, .* shape \(4,\); got"):
+    with pytest.raises(CaterpillarError, match=r"must return 4 finite numbers, .* shape \(4,\); got"):
         evolve(CONFIG, tmp_path / "run", evaluator=ONE, objective=objective)
 
 

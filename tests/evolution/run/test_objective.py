@@ -11,7 +11,7 @@ from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes, simulate
 from caterpillar_env.task import EPISODE_S, Crawl, Failure
 from evolution.config import RunConfig
-from evolution.genome import Encoding, GenomeError
+from evolution.genome import Encoding
 from evolution.run.evaluators import evaluate
 
 PERIOD_S = RunConfig().gait_period_s
@@ -180,5 +180,5 @@ def test_negative_threads_are_refused():
 
 
 def test_genomes_of_another_robot_are_refused():
-    with pytest.raises(GenomeError, match=r"\(P, 12\)"):
+    with pytest.raises(CaterpillarError, match=r"\(P, 12\)"):
         evaluate(genomes(1, 20), Encoding(SHORT, PERIOD_S))
