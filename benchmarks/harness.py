@@ -49,7 +49,7 @@ def spread(values: Array) -> dict[str, float]:
     return {"median": float(np.median(values)), "min": float(values.min()), "max": float(values.max())}
 
 
-def report(name: str, rows: list[dict[str, Any]], **more: Any) -> None:
+def report(name: str, rows: list[dict[str, Any]]) -> None:
     """Print a table to standard error, and its data as a line of JSON to standard output."""
     table = Table(*rows[0], title=name, title_justify="left")
     for row in rows:
@@ -61,7 +61,7 @@ def report(name: str, rows: list[dict[str, Any]], **more: Any) -> None:
         "python": platform.python_version(),
         **{package: version(package) for package in ("mujoco", "gymnasium", "numpy")},
     }
-    print(json.dumps({"benchmark": name, "machine": machine, "rows": rows, **more}), flush=True)
+    print(json.dumps({"benchmark": name, "machine": machine, "rows": rows}), flush=True)
 
 
 def _cell(value: Any) -> str:

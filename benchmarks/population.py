@@ -44,10 +44,7 @@ def compare(count: int, periods: int, repeats: int) -> None:
         }
         for threads in ("1", "2")
     ]
-    report(
-        f"population: {count} random genomes, {periods} gait periods, {failed} of them end early",
-        rows, physics_steps=calls.physics_steps,
-    )  # fmt: skip
+    report(f"population: {count} random genomes, {periods} gait periods, {failed} end early", rows)
 
 
 def main() -> None:
