@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from baselines.config import TrainConfig
-from baselines.history import make_configuration
+from baselines.config import TrainConfig, make_configuration
 from baselines.policy import TrainedRobot
 from baselines.training import train
 from caterpillar_env.errors import CaterpillarError

@@ -1,4 +1,4 @@
-"""Configuration of a training run, and its hyperparameters in the schema of rl_zoo3."""
+"""Configuration of a training run, its hyperparameters in the schema of rl_zoo3, and its record."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.randomization import Randomization
 from caterpillar_env.task import EPISODE_S
+from evolution.run.history import History
+from evolution.run.journal import Evaluation
 
 AlgorithmName = Literal["ppo", "a2c", "sac", "tqc", "ars"]
 Mode = Literal["timing", "switch"]
@@ -158,3 +160,41 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
         arguments = normalize if isinstance(normalize, dict) else {}
         normalize = {"gamma": model.get("gamma", 0.99)} | arguments
     return Hyperparameters(n_envs, env_kwargs, normalize or None, callback, model)
+
+
+def make_configuration(config: TrainConfig) -> dict[str, Any]:
+    """Return the configuration that the journal of a training run stores."""
+    return {"kind": "training", **config.to_dict(), "hyperparameters": hyperparameters(config)._asdict()}
+
+
+class Training(NamedTuple):
+    """A training run and its record.
+
+    Each evaluation of `history` is one episode of the deterministic policy. Its genome is the body. Its
+    `simulated_s` includes the training since the previous evaluation.
+    """
+
+    config: TrainConfig
+    history: History
+
+    @classmethod
+    def read(cls, folder: Path) -> Training:
+        """Read the folder of a training run, even while it is running.
+
+        Raises:
+            CaterpillarError: the folder contains no training run.
+        """
+        history = History.read(folder)
+        if history.kind != "training":
+            raise CaterpillarError(
+                f"{folder} contains an evolutionary run; give a folder that caterpillar rl train made"
+            )
+        data = dict(history.configuration)
+        del data["kind"], data["hyperparameters"]
+        return cls(TrainConfig.from_dict(data), history)
+
+    def body(self, evaluation: Evaluation) -> Morphology:
+        """Return the body with which the policy was evaluated."""
+        if self.config.design == "fixed":
+            return self.config.morphology
+        return Morphology.from_unit(evaluation.genome)

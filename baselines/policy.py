@@ -15,8 +15,7 @@ from stable_baselines3 import A2C, PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from baselines.config import TrainConfig
-from baselines.history import Training
+from baselines.config import TrainConfig, Training
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.errors import CaterpillarError

@@ -14,8 +14,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from baselines.codesign import CoDesign
-from baselines.config import TrainConfig, hyperparameters
-from baselines.history import Training, make_configuration
+from baselines.config import TrainConfig, Training, hyperparameters, make_configuration
 from baselines.policy import ALGORITHMS, Policy, make_env
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.errors import CaterpillarError
@@ -25,7 +24,6 @@ from evolution.run.history import History
 from evolution.run.journal import Journal
 
 _PACKAGES = ("stable-baselines3", "sb3-contrib", "torch", "gymnasium")
-_MIN_ROLLOUTS = 5  #: minimum number of rollouts for co-design
 
 
 class _BudgetSpent(Exception):  # noqa: N818  it signals a normal end
@@ -97,12 +95,6 @@ def _check_budget(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
         raise CaterpillarError(
             f"budget_s = {budget_s:g} is too small: one step of {count} robots and two evaluations take "
             f"{reserve_s:g} simulated seconds"
-        )
-    rollouts_s = _MIN_ROLLOUTS * count * EPISODE_S
-    if config.design != "fixed" and budget_s < rollouts_s:
-        raise CaterpillarError(
-            f"budget_s = {budget_s:g} is too small for co-design: {_MIN_ROLLOUTS} episodes of {count} "
-            f"robots take {rollouts_s:g} simulated seconds"
         )
     return reserve_s
 

@@ -13,7 +13,7 @@ import numpy as np
 import tyro
 from rich.table import Table
 
-from baselines.history import Training
+from baselines.config import Training
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli
 from evolution.run.history import to_outcomes

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from baselines.history import Training
+from baselines.config import Training
 from baselines.policy import TrainedRobot
 from evolution import cli
 

@@ -7,8 +7,7 @@ import pytest
 
 from baselines import training
 from baselines.codesign import FROZEN_SHARE, POPULATION, CoDesign
-from baselines.config import TrainConfig
-from baselines.history import Training
+from baselines.config import TrainConfig, Training
 from baselines.policy import TrainedRobot
 from baselines.training import train
 from baselines.vec_env import CaterpillarVecEnv

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from baselines.cli.compare import summarize
-from baselines.config import TrainConfig
-from baselines.history import Training, make_configuration
+from baselines.config import TrainConfig, Training, make_configuration
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure

@@ -27,7 +27,7 @@ from caterpillar_env.morphology import Morphology
             {"design": "uniform", "morphology": Morphology(leg_separation_m=0.02)},
             "evolves the body",
         ),
-        ({"randomize": {"ambient_c": (20, 90)}}, "must end below 56 degC"),
+        ({"randomize": {"ambient_c": (20, 90)}}, "ambient < Mf < Ms"),
         ({"design": "uniform", "algorithm": "a2c"}, "requires algorithm ppo without open_loop"),
         ({"randomize": {"luck": (0, 1)}}, "randomization has no luck; its fields are friction"),
         ({"randomize": {"mass": (2, 1)}}, "randomization of mass must be two numbers"),

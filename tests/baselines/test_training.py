@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from baselines import training
-from baselines.config import TrainConfig, hyperparameters
-from baselines.history import Training
+from baselines.config import TrainConfig, Training, hyperparameters
 from baselines.policy import Policy, RandomActor, TrainedRobot, make_env
 from baselines.training import train
 from caterpillar_env.errors import CaterpillarError
@@ -235,17 +234,9 @@ def test_folder_that_cannot_be_written_is_rejected(tmp_path):
         train(config(), tmp_path / "file" / "run")
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"budget_s": 40.0}, "one step of 16 robots and two evaluations take 68"),
-        ({"mode": "timing", "design": "uniform", "budget_s": 1000.0}, "too small for co-design"),
-    ],
-    ids=str,
-)
-def test_too_small_budget_is_rejected(tmp_path, fields, message):
-    with pytest.raises(CaterpillarError, match=message):
-        train(config(**fields), tmp_path / "run")
+def test_too_small_budget_is_rejected(tmp_path):
+    with pytest.raises(CaterpillarError, match="one step of 16 robots and two evaluations take 68"):
+        train(config(budget_s=40.0), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
