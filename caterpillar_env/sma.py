@@ -86,11 +86,6 @@ class SmaSpring:
             )
 
     @property
-    def wire_length_m(self) -> float:
-        """Length of the wire in the coil, n pi D (for a small helix angle)."""
-        return self.turns * math.pi * self.coil_diameter_m
-
-    @property
     def mass_per_m_kg(self) -> float:
         """Mass per metre of wire, m'."""
         return self.density_kg_m3 * math.pi * self.wire_diameter_m**2 / 4
@@ -102,8 +97,9 @@ class SmaSpring:
 
     @property
     def drive_power_w(self) -> float:
-        """Electrical power of the spring while on, I^2 R."""
-        return self.drive_current_a**2 * self.resistance_per_m_ohm * self.wire_length_m
+        """Electrical power of the spring while on, I^2 R' n pi D (for a small helix angle)."""
+        wire_length_m = self.turns * math.pi * self.coil_diameter_m
+        return self.drive_current_a**2 * self.resistance_per_m_ohm * wire_length_m
 
     @property
     def heating_w_kg(self) -> float:

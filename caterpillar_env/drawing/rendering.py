@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import warnings
 from dataclasses import dataclass
-from functools import cache
 from importlib import import_module
 
 import gymnasium
@@ -186,13 +185,13 @@ class Pictures:
         return renderer
 
     def draw(self, row: int) -> NDArray[np.uint8] | None:
-        """Return an image of a row, or warn once and return None if this machine cannot draw."""
+        """Return an image of a row, or warn and return None if this machine cannot draw."""
         simulation = self._crawl.simulation
         (temperature_c,) = simulation.state(np.array([row])).temperature_c
         try:
             return self.renderer(row).draw(simulation.qpos(row), temperature_c)
         except RenderingError as error:
-            warn_once(str(error))
+            gymnasium.logger.warn(str(error))  # Python shows the same warning once
             return None
 
     def close(self) -> None:
@@ -200,12 +199,6 @@ class Pictures:
         for renderer in self._renderers.values():
             renderer.close()
         self._renderers.clear()
-
-
-@cache
-def warn_once(text: str) -> None:
-    """Log a warning once per text."""
-    gymnasium.logger.warn(text)
 
 
 def _add_spot(scene: mujoco.MjvScene, x: float, y: float) -> None:

@@ -1,4 +1,4 @@
-"""Usable cores follow from the CPU affinity and from the limit of the control group."""
+"""Usable cores follow from the CPU affinity and from the limit of the container."""
 
 import os
 
@@ -6,31 +6,24 @@ import pytest
 
 from caterpillar_env import machine
 
-LIMITED_V1 = {"cpu/x/cpu.cfs_quota_us": "300000\n", "cpu/x/cpu.cfs_period_us": "100000\n"}
-FREE_V1 = {"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}
-
 
 @pytest.mark.parametrize(
-    ("own", "files", "cores"),
+    ("files", "cores"),
     [
-        ("0::/\n", {"cpu.max": "150000 100000\n"}, 1.5),
-        ("0::/a\n", {"a/cpu.max": "400000 100000\n", "cpu.max": "1 1"}, 4.0),
-        ("0::/not/mounted\n", {"cpu.max": "50000 100000\n"}, 0.5),
-        ("0::/\n", {"cpu.max": "max 100000\n"}, None),
-        ("4:memory:/y\n3:cpu,cpuacct:/x\n0::/\n", LIMITED_V1, 3.0),
-        ("1:cpu:/\n", FREE_V1, None),
-        ("0::/\n", {"cpu.max": "garbage\n"}, None),
-        ("0::/\n", {}, None),
-        ("", {}, None),
+        ({"cpu.max": "150000 100000\n"}, 1.5),
+        ({"cpu.max": "max 100000\n"}, None),
+        ({"cpu/cpu.cfs_quota_us": "300000\n", "cpu/cpu.cfs_period_us": "100000\n"}, 3.0),
+        ({"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}, None),
+        ({"cpu.max": "garbage\n"}, None),
+        ({}, None),
     ],
-    ids=["top", "group", "container", "max", "v1", "v1 unlimited", "garbage", "no file", "no group"],
+    ids=["v2", "v2 unlimited", "v1", "v1 unlimited", "garbage", "no file"],
 )
-def test_quota_is_the_limit_of_the_control_group(tmp_path, own, files, cores):
-    for name, text in ({"own": own} | {f"groups/{name}": text for name, text in files.items()}).items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+def test_quota_is_the_limit_of_the_container(tmp_path, files, cores):
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
-    assert machine.quota(tmp_path / "groups", tmp_path / "own") == cores
-    assert machine.quota(tmp_path / "groups", tmp_path / "missing") is None
+    assert machine.quota(tmp_path) == cores
 
 
 @pytest.mark.parametrize(("quota", "cores"), [(None, 3), (8.0, 3), (1.5, 2), (0.2, 1)])

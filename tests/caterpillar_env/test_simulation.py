@@ -91,7 +91,8 @@ def test_power_at_the_cut_off_equals_the_heat_loss():
     before_j = simulation.energy_j[0]
     advance(simulation, np.ones((1, 100, 4)))
     s = simulation.physics.spring
-    loss_w = s.cooling_w_kg_k * (s.cut_off_c - s.ambient_c) * s.mass_per_m_kg * s.wire_length_m
+    wire_kg = s.mass_per_m_kg * s.turns * np.pi * s.coil_diameter_m
+    loss_w = s.cooling_w_kg_k * (s.cut_off_c - s.ambient_c) * wire_kg
     assert loss_w < 0.6 * s.drive_power_w
     assert simulation.energy_j[0] - before_j == pytest.approx(4 * loss_w, rel=1e-6)
 

@@ -40,7 +40,6 @@ def test_wire_data_follow_from_its_geometry():
     assert NITI.resistance_per_m_ohm == pytest.approx(55.5, abs=0.1)  # the supplier's sheet
     assert NITI.resistance_per_m_ohm == pytest.approx(OHM_M)
     assert NITI.mass_per_m_kg == pytest.approx(MASS_KG_M)
-    assert NITI.wire_length_m == pytest.approx(100 * math.pi * 0.47e-3)
     assert NITI.drive_power_w == pytest.approx(0.35**2 * OHM_M * 100 * math.pi * 0.47e-3)
     assert NITI.time_constant_s == pytest.approx(6450 * 500 * 0.15e-3 / (4 * 110 * 0.7))
 
