@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 import os
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +23,6 @@ from caterpillar_env.morphology import length_m, segments_of
 from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.robot import AnyRobot, Outcomes
 from caterpillar_env.task import Failure
-
-Frame = NDArray[np.uint8]
 
 _SINGLE_PX, _TILE_PX = (640, 480), (480, 360)
 _GAP_PX = 2  # between tiles
@@ -101,39 +98,17 @@ class Recording:
         """Simulated time until the end of the episode or the failure, s."""
         return len(self.qpos) * SMA_STEP_S
 
-    @contextmanager
-    def open_view(
-        self, width: int, height: int, camera: Camera, view_length_m: float
-    ) -> Iterator[Callable[[float], Frame]]:
-        """Yield a function that draws the robot at a given time, s. Later times show the final pose.
-
-        Args:
-            width: frame width, pixels.
-            height: frame height, pixels.
-            camera: name of the camera.
-            view_length_m: body length that must fit in the frame.
-        """
-        renderer = RobotRenderer(
-            self.robot.morphology, self.robot.physics, View(width, height, camera),
-            view_length_m=view_length_m,
-        )  # fmt: skip
-        start_m = renderer.centre_of_mass(self.qpos[0])[0]
-        failure, last = Failure(self.outcomes.failure[0]).label, len(self.qpos) - 1
-
-        @lru_cache(maxsize=1)  # draw repeated frames once
-        def draw_step(step: int) -> Frame:
-            readout = Readout(
-                (step + 1) * SMA_STEP_S,
-                renderer.centre_of_mass(self.qpos[step])[0] - start_m,
-                float(self.energy_j[step]),
-                failure if step == last else "ok",
-                self.title,
-            )
-            frame = renderer.draw(self.qpos[step], self.temperature_c[step])
-            return annotate(frame, readout, self.robot.physics.spring)
-
-        with closing(renderer):
-            yield lambda time_s: draw_step(min(max(round(time_s / SMA_STEP_S) - 1, 0), last))
+    def draw(self, renderer: RobotRenderer, time_s: float) -> NDArray[np.uint8]:
+        """Return the frame at a time, s. Later times show the final pose."""
+        last = len(self.qpos) - 1
+        step = min(max(round(time_s / SMA_STEP_S) - 1, 0), last)
+        start_m, now_m = (renderer.centre_of_mass(self.qpos[k])[0] for k in (0, step))
+        failure = Failure(self.outcomes.failure[0]).label if step == last else "ok"
+        readout = Readout(
+            (step + 1) * SMA_STEP_S, now_m - start_m, self.energy_j[step], failure, self.title
+        )
+        frame = renderer.draw(self.qpos[step], self.temperature_c[step])
+        return annotate(frame, readout, self.robot.physics.spring)
 
 
 def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig | None = None) -> None:
@@ -156,12 +131,15 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
     view_length_m = max(r.body_length_m for r in recordings)
     tile = (width - _GAP_PX * (columns - 1)) // columns, (height - _GAP_PX * (rows - 1)) // rows
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
+    view = View(*tile, config.camera)
     with ExitStack() as stack:
-        draws = [
-            stack.enter_context(r.open_view(*tile, config.camera, view_length_m)) for r in recordings
-        ]
-        for draw in draws:
-            draw(0.0)  # raise errors before the file is created
+        films = []
+        for recording in recordings:
+            robot = recording.robot
+            renderer = RobotRenderer(robot.morphology, robot.physics, view, view_length_m=view_length_m)
+            stack.callback(renderer.close)
+            recording.draw(renderer, 0.0)  # raise errors before the file is created
+            films.append((recording, renderer))
         canvas = np.full((height, width, 3), 255, dtype=np.uint8)
         stack.callback(partial.unlink, missing_ok=True)
         comment = f"comment={' '.join(recording.robot.digest for recording in recordings)}"
@@ -173,12 +151,13 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
         try:
             writer.send(None)
             end_s = max(r.duration_s for r in recordings)
-            moving, still = math.ceil(end_s * fps / config.speed) + 1, round(_HOLD_S * fps)
-            for time_s in np.minimum(np.arange(moving + still) * config.speed / fps, end_s):
-                for number, draw in enumerate(draws):
+            for time_s in np.arange(math.ceil(end_s * fps / config.speed) + 1) * config.speed / fps:
+                for number, (recording, renderer) in enumerate(films):
                     row, column = divmod(number, columns)
                     x, y = column * (tile[0] + _GAP_PX), row * (tile[1] + _GAP_PX)
-                    canvas[y : y + tile[1], x : x + tile[0]] = draw(time_s)
+                    canvas[y : y + tile[1], x : x + tile[0]] = recording.draw(renderer, time_s)
+                writer.send(canvas)
+            for _ in range(round(_HOLD_S * fps)):
                 writer.send(canvas)
             writer.close()
             os.replace(partial, path)
