@@ -124,7 +124,7 @@ class Hyperparameters(NamedTuple):
     n_envs: int  #: number of parallel robots
     env_kwargs: dict[str, Any]  #: arguments of the environment
     normalize: dict[str, Any] | None  #: arguments of VecNormalize, or None for no normalization
-    callback: list[Any]  #: class paths of callbacks, or mappings from class path to arguments
+    callback: list[Any]  #: mappings from the class path of a callback to its arguments
     model: dict[str, Any]  #: arguments of the algorithm
 
 
@@ -156,10 +156,8 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
                 model[name] = max(1, model[name] // _PERIODS_PER_EPISODE)
         if "gamma" in model:
             model["gamma"] = 0.0  # an episode is a single step
-    if normalize:
-        arguments = normalize if isinstance(normalize, dict) else {}
-        normalize = {"gamma": model.get("gamma", 0.99)} | arguments
-    return Hyperparameters(n_envs, env_kwargs, normalize or None, callback, model)
+    arguments = {"gamma": model.get("gamma", 0.99)} if normalize else None
+    return Hyperparameters(n_envs, env_kwargs, arguments, callback, model)
 
 
 def make_configuration(config: TrainConfig) -> dict[str, Any]:

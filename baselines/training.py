@@ -114,9 +114,9 @@ def _make_model(config: TrainConfig, robots: CaterpillarVecEnv) -> BaseAlgorithm
     return model
 
 
-def _make_callback(entry: str | dict[str, dict[str, Any]]) -> BaseCallback:
-    """Make a callback from its class path, or from a mapping from class path to arguments."""
-    path, arguments = (entry, {}) if isinstance(entry, str) else next(iter(entry.items()))
+def _make_callback(entry: dict[str, dict[str, Any]]) -> BaseCallback:
+    """Make a callback from a mapping from its class path to its arguments."""
+    ((path, arguments),) = entry.items()
     module, name = path.rsplit(".", 1)
     callback: BaseCallback = getattr(importlib.import_module(module), name)(**arguments)
     return callback

@@ -94,21 +94,14 @@ class CaterpillarVecEnv(VecEnv):
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of the vector environment. All rows share it.
-
-        Raises:
-            CaterpillarError: `indices` does not select all rows.
-        """
-        if len(list(self._get_indices(indices))) != self.num_envs:
-            raise CaterpillarError(f"{attr_name} can only be set for all {self.num_envs} rows at once")
-        setattr(self.vector_env, attr_name, value)
+        """Raise an error, because all rows share `vector_env`."""
+        raise NotImplementedError(f"set {attr_name} of vector_env, which all rows share")
 
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method of the vector environment once. Repeat its result for each requested row."""
-        result = getattr(self.vector_env, method_name)(*args, **kwargs)
-        return [result for _ in self._get_indices(indices)]
+        """Raise an error, because all rows share `vector_env`."""
+        raise NotImplementedError(f"call {method_name} of vector_env, which all rows share")
 
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None

@@ -76,8 +76,6 @@ def _first_below(times: Array, share: Array) -> float:
 
 def log_rank(time_a: Array, reached_a: Flags, time_b: Array, reached_b: Flags) -> float:
     """Return the p value of the log-rank test (Mantel 1966), or 1 where it is undefined."""
-    if not (np.any(reached_a) or np.any(reached_b)):
-        return 1.0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # undefined where all times are equal
         p = float(stats.logrank(_censored(time_a, reached_a), _censored(time_b, reached_b)).pvalue)

@@ -27,7 +27,7 @@ def trained(tmp_path_factory):
     class Recorded(CoDesign):
         def on_rollout_start(self):
             super().on_rollout_start()
-            bodies.append(self.training_env.get_attr("morphologies")[0])
+            bodies.append(list(self.training_env.get_attr("crawl")[0].simulation.bodies))
 
     config = TrainConfig(
         "ppo", "timing", design="uniform", budget_s=3400.0, evaluations=4, physics=SMALL

@@ -5,7 +5,6 @@ import json
 import pytest
 import yaml
 
-from baselines import config as config_module
 from baselines.config import ENVIRONMENTS, HYPERPARAMETERS, TrainConfig, hyperparameters
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import Morphology
@@ -79,19 +78,6 @@ def test_bandit_acts_once_per_episode_and_learns_from_as_many_episodes():
     assert bandit.model["gamma"] == bandit.normalize["gamma"] == 0
     sac = hyperparameters(TrainConfig("sac", "timing", open_loop=True)).model["learning_starts"]
     assert sac == hyperparameters(TrainConfig("sac", "timing")).model["learning_starts"] // 6
-
-
-def test_normalize_may_hold_arguments(tmp_path, monkeypatch):
-    monkeypatch.setattr(config_module, "HYPERPARAMETERS", tmp_path)
-    text = (
-        "CaterpillarSMA-v0: {n_timesteps: 1, policy: MlpPolicy, gamma: 0.7, "
-        "normalize: {norm_reward: false}}"
-    )
-    (tmp_path / "ppo.yml").write_text(text)
-    found = hyperparameters(TrainConfig(mode="timing"))
-    assert found.normalize == {"gamma": 0.7, "norm_reward": False}
-    assert found.n_envs == 1
-    assert found.model == {"policy": "MlpPolicy", "gamma": 0.7}
 
 
 @pytest.mark.parametrize(

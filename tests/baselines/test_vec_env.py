@@ -87,17 +87,16 @@ def test_simulated_seconds_of_all_rows_are_counted(env):
 def test_reset_applies_the_body_in_the_options(env):
     env.reset()
     body = dict.fromkeys(("leg_separation_m",), 0.02)
-    nominal = env.get_attr("morphologies")[0][0]
-    env.set_options({"morphology": {**nominal.to_dict(), **body}})
+    env.set_options({"morphology": {**Morphology().to_dict(), **body}})
     env.reset()
-    assert {m.leg_separation_m for m in env.get_attr("morphologies")[0]} == {0.02}
+    assert {m.leg_separation_m for m in env.vector_env.crawl.simulation.bodies} == {0.02}
 
 
 def test_attributes_are_shared_by_all_rows(env):
     assert env.get_attr("render_mode") == [None] * ROWS
     assert len(env.get_attr("observation_names", indices=[0, 2])) == 2
     assert env.env_is_wrapped(gymnasium.wrappers.TimeLimit) == [False] * ROWS
-    with pytest.raises(ValueError, match="all 3 rows at once"):
+    with pytest.raises(NotImplementedError, match="render_mode of vector_env"):
         env.set_attr("render_mode", "rgb_array", indices=1)
 
 
