@@ -22,18 +22,6 @@ from evolution.run.objective import ObjectiveName
 OptimizerName = Literal["ga", "cma-es", "random"]
 Prior = Literal["preprocessed", "uniform", "init-only", "mutation-only", "mirrored"]
 
-#: Descriptions of the optimizers and of the priors.
-OPTIMIZERS: dict[OptimizerName, str] = {
-    "ga": "the genetic algorithm", "cma-es": "CMA-ES", "random": "random search",
-}  # fmt: skip
-PRIORS: dict[Prior, str] = {
-    "preprocessed": "the preprocessor's distributions",
-    "uniform": "uniform distributions",
-    "init-only": "the preprocessor's distributions for initialization, uniform ones for mutation",
-    "mutation-only": "uniform distributions for initialization, the preprocessor's for mutation",
-    "mirrored": "the preprocessor's distributions mirrored, so that every peak is at the wrong end",
-}
-
 
 @dataclass(frozen=True)
 class RunConfig:
@@ -65,11 +53,11 @@ class RunConfig:
             raise CaterpillarError(f"seed = {self.seed} must not be negative")
         if self.generations < 1:
             raise CaterpillarError(f"generations = {self.generations} must be at least 1")
-        for name, what in _LIMITS.items():
+        for name in ("budget_s", "target_m"):
             value = getattr(self, name)
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if value is not None and not (number and 0 < value < np.inf):
-                raise CaterpillarError(f"{name} = {value!r} must be {what}, or None for no limit")
+                raise CaterpillarError(f"{name} = {value!r} must be a positive number, or left out")
         for name, kind in get_type_hints(RunConfig).items():
             if get_origin(kind) is Literal:
                 check_choice(name, getattr(self, name), kind)
@@ -160,10 +148,3 @@ class RunConfig:
         if self.budget_s is not None:
             return min(simulated_s / self.budget_s, 1.0)
         return generations / self.generations
-
-
-#: Optional limits that end a run early.
-_LIMITS = {
-    "budget_s": "a positive number of simulated seconds",
-    "target_m": "a positive distance in m",
-}

@@ -15,18 +15,11 @@ from matplotlib.ticker import MaxNLocator
 from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.robot import Robot
 from caterpillar_env.sma import SmaState, advance
-from caterpillar_env.task import Failure
 from evolution.priors.preprocessor import GenePrior
 from evolution.run.history import Generation
 
 _DPI = 120
 _WIDTH_IN = 6.0  # readable on a phone
-_COLOURS = ("gray", "red", "purple", "green", "brown", "olive", "pink", "cyan")
-#: Colour of each failure in all figures, by name.
-FAILURE_COLOURS = {
-    failure.label: f"tab:{colour}"
-    for failure, colour in zip([f for f in Failure if f is not Failure.NONE], _COLOURS, strict=False)
-}
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -66,10 +59,10 @@ def convergence(generations: Sequence[Generation], title: str) -> Figure:
     upper.legend()
     upper.grid(alpha=0.3)
     bottom = np.zeros(len(generations))
-    for reason, colour in FAILURE_COLOURS.items():
+    for index, reason in enumerate(generations[0].failures):
         counts = np.array([g.failures[reason] for g in generations])
         if counts.any():
-            lower.bar(numbers, counts, bottom=bottom, label=reason, color=colour)
+            lower.bar(numbers, counts, bottom=bottom, label=reason, color=f"C{index}")
             bottom += counts
     lower.set(xlabel="generation", ylabel="failures")
     for axis in (lower.xaxis, lower.yaxis):

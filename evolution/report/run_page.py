@@ -17,7 +17,7 @@ from caterpillar_env.drawing.video import is_video_of
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import EPISODE_S, Failure
 from caterpillar_env.validation.gaits import measure_gait
-from evolution.config import OPTIMIZERS, PRIORS, RunConfig
+from evolution.config import RunConfig
 from evolution.genome import gene_values
 from evolution.priors.distributions import ClippedGaussian
 from evolution.report import figures as draw
@@ -91,8 +91,6 @@ def page(history: History, figures: Mapping[str, str]) -> str:
         width=max((len(command) for command, _ in commands), default=0),
         config=config,
         own=own,
-        optimizer=f"the user's own optimizer {own}" if own else OPTIMIZERS[config.optimizer],
-        prior="" if own else PRIORS[config.prior],
         genes=gene_rows(history),
         changed=list(changed(history.configuration)),
         configuration=json.dumps(history.configuration, indent=2),

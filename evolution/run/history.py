@@ -53,6 +53,10 @@ class History:
         self._journal, self._objective = journal, objective
         self.folder = journal.path.parent
         self.configuration = journal.configuration
+        self.kind: str = self.configuration.get("kind", "evolution")  #: or "training"
+        #: Names of the user's own optimizer and objective, if the run has them.
+        self.own_optimizer: str | None = self.configuration.get("own_optimizer")
+        self.own_objective: str | None = self.configuration.get("own_objective")
         self.sessions = journal.sessions
         # Before the evaluations, because another process may complete a generation meanwhile.
         self._completions = journal.generations()
@@ -75,11 +79,6 @@ class History:
         for _ in range(complete):
             history._advance(replayed=True)
         return history
-
-    @property
-    def kind(self) -> str:
-        """The kind of run: "evolution", or "training" by reinforcement learning."""
-        return str(self.configuration.get("kind", "evolution"))
 
     @cached_property
     def objective(self) -> Objective:
@@ -117,16 +116,6 @@ class History:
         """Begin a session, see `Journal.begin`."""
         self._journal.begin(packages)
         self.sessions = self._journal.sessions
-
-    @property
-    def own_optimizer(self) -> str | None:
-        """Name of the user's own optimizer, if one drove the run."""
-        return self.configuration.get("own_optimizer")
-
-    @property
-    def own_objective(self) -> str | None:
-        """Name of the user's own objective, if the run maximizes one."""
-        return self.configuration.get("own_objective")
 
     @property
     def simulated_s(self) -> float:

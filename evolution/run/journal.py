@@ -122,12 +122,16 @@ class Journal:
         read_only: open for reading only, which works while another process writes.
 
     Raises:
-        JournalError: there is no journal, another process is writing to it, or it has a newer schema.
-        JournalError: the file is damaged.
+        JournalError: there is no journal, another process is writing to it, it has a newer schema, or it
+            is damaged.
     """
 
     def __init__(self, folder: Path, *, read_only: bool = False) -> None:
-        self.path = _find(folder)
+        self.path = folder / FILE
+        if not self.path.is_file():
+            raise JournalError(
+                f"{folder} is not a run folder: it contains no {FILE}; give one that caterpillar made"
+            )
         self._schema = SCHEMA
         with ExitStack() as stack:
             if not read_only:
@@ -296,15 +300,6 @@ class Journal:
                 count += 1
         except sqlite3.DatabaseError as error:
             raise damaged(self.path, f"{key} {count} cannot be read ({error})") from None
-
-
-def _find(folder: Path) -> Path:
-    path = folder / FILE
-    if not path.is_file():
-        raise JournalError(
-            f"{folder} is not a run folder: it contains no {FILE}; give a folder that caterpillar made"
-        )
-    return path
 
 
 def read_simulated_s(folder: Path) -> float:

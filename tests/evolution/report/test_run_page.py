@@ -171,7 +171,7 @@ def test_video_is_embedded_if_it_shows_the_best_robot(folder, monkeypatch):
     ("config", "text"),
     [
         (replace(SHORT, optimizer="cma-es", cma=CmaConfig(cma_population=4)), "CMA-ES uses the prior"),
-        (replace(SHORT, optimizer="random", prior="uniform"), "random search on uniform"),
+        (replace(SHORT, optimizer="random", prior="uniform"), "random with the prior uniform"),
         (replace(SHORT, genome="full"), "gap1 dorsal left on"),
         (replace(CONFIG, genome="per-segment"), "segment2 leg separation"),
         (replace(SHORT, prior="mutation-only"), "the first generation is uniform"),

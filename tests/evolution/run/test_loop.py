@@ -360,10 +360,10 @@ def test_configuration_survives_json():
         ({"sampling": "grid"}, "sampling = 'grid'"),
         ({"generations": 0}, "generations = 0"),
         *(
-            ({"target_m": value}, f"target_m = {value!r} must be a positive distance in m")
+            ({"target_m": value}, f"target_m = {value!r} must be a positive number")
             for value in (-0.1, 0, np.nan, np.inf, "far", True)
         ),
-        ({"budget_s": 0.0}, "budget_s = 0.0 must be a positive number of simulated seconds"),
+        ({"budget_s": 0.0}, "budget_s = 0.0 must be a positive number"),
         ({"budget_s": "long"}, "budget_s = 'long' must be a positive number"),
         ({"generations": -5}, "generations = -5"),
         ({"prior": "hopeful"}, "prior = 'hopeful'"),

@@ -199,9 +199,9 @@ def test_a_run_that_missed_its_target_says_so_and_can_go_on(tmp_path, whole):
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        ("-0.1", "target_m = -0.1 must be a positive distance in m"),
-        ("0", "target_m = 0.0 must be a positive distance in m"),
-        ("nan", "target_m = nan must be a positive distance in m"),
+        ("-0.1", "target_m = -0.1 must be a positive number"),
+        ("0", "target_m = 0.0 must be a positive number"),
+        ("nan", "target_m = nan must be a positive number"),
         ("far", "--target-m"),
     ],
 )
