@@ -15,7 +15,6 @@ from typing import Any, Protocol, Self
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.robot import Outcomes, simulate
-from caterpillar_env.task import EPISODE_S
 from evolution.genome import Encoding
 
 CHUNK = 50  #: number of genomes that are evaluated and recorded together
@@ -47,12 +46,7 @@ class Evaluator(Protocol):
 
 
 def evaluate(
-    genomes: Array,
-    encoding: Encoding,
-    *,
-    threads: int = 0,
-    duration_s: float = EPISODE_S,
-    on_progress: OnProgress | None = None,
+    genomes: Array, encoding: Encoding, *, threads: int = 0, on_progress: OnProgress | None = None
 ) -> Outcomes:
     """Simulate the robots of P genomes. Each robot stops when it fails.
 
@@ -60,17 +54,13 @@ def evaluate(
         genomes: array of shape (P, n) with values in [0, 1].
         encoding: maps the genomes to robots.
         threads: number of threads; 0 for all usable cores. Results do not depend on it.
-        duration_s: simulated time of each robot, s.
         on_progress: called with the share of the time that is simulated, in [0, 1].
 
     Returns:
         The outcomes, arrays of shape (P,).
     """
     bodies, timings = encoding.decode(genomes)
-    return simulate(
-        bodies, timings, encoding.physics,
-        threads=threads, duration_s=duration_s, on_progress=on_progress,
-    )  # fmt: skip
+    return simulate(bodies, timings, encoding.physics, threads=threads, on_progress=on_progress)
 
 
 class LocalEvaluator(Evaluator):
