@@ -112,7 +112,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start an episode. `options={"morphology": ...}` changes the body for this and later episodes."""
+        """Start an episode. `options={"morphology": ...}` changes the body from now on."""
         super().reset(seed=seed)
         chosen = check_options(options, ("morphology",))
         bodies = [Morphology.of(chosen["morphology"])] if "morphology" in chosen else None
