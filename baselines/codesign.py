@@ -46,7 +46,7 @@ class CoDesign(BaseCallback):
         )
         self._robots, self._share_spent = robots, share_spent
         self._genomes = np.empty((0, len(NAMES)))
-        self._first_m: list[float | None] = []  # distance of each robot's first episode; empty: frozen
+        self._first_m: list[float | None] = []  # distance of each robot's first episode, until frozen
         self._frozen = False
 
     @property

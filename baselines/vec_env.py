@@ -95,13 +95,13 @@ class CaterpillarVecEnv(VecEnv):
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Raise an error, because all rows share `vector_env`."""
-        raise NotImplementedError(f"set {attr_name} of vector_env, which all rows share")
+        raise NotImplementedError(f"all rows share one environment: set vector_env.{attr_name}")
 
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
         """Raise an error, because all rows share `vector_env`."""
-        raise NotImplementedError(f"call {method_name} of vector_env, which all rows share")
+        raise NotImplementedError(f"all rows share one environment: use vector_env.{method_name}")
 
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None

@@ -186,7 +186,7 @@ class Episodes:
         """Return the actions of `count` robots as an array with one row per robot.
 
         Raises:
-            CaterpillarError: the shape is wrong, or a value is not finite or, to switch, not 0 or 1.
+            CaterpillarError: the shape is wrong, a value is not finite, or a switch value is not 0 or 1.
         """
         expected = (count, *self.action_space.shape)
         try:

@@ -173,8 +173,8 @@ class Robot:
         """
         if not isinstance(data, dict) or data.get("format") != FORMAT:
             raise CaterpillarError(
-                f'no robot: expected JSON with "format": "{FORMAT}", as in best.json (a trained policy '
-                "crawls by caterpillar rl eval)"
+                f'not a robot: expected JSON with "format": "{FORMAT}", as in best.json (for a trained '
+                "policy, use caterpillar rl eval)"
             )
         try:
             physics = Physics.of(data["physics"])
@@ -197,7 +197,7 @@ class Robot:
         except CaterpillarError:
             raise
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise CaterpillarError(f"the robot lacks a part, or one is unusable: {error}") from None
+            raise CaterpillarError(f"a field of the robot is missing or invalid: {error}") from None
 
     def save(self, path: str | Path) -> None:
         """Write the robot as JSON."""
@@ -214,11 +214,11 @@ class Robot:
         if os.path.isdir(path):
             if not (path / "best.json").exists():
                 raise CaterpillarError(
-                    f"{path} holds no best.json: it is no run folder, or no robot of the run has "
+                    f"{path} holds no best.json: it is not a run folder, or no robot of the run has "
                     f"crawled forwards without failing yet; {advice}"
                 )
             path = path / "best.json"
-        return read(path, cls.from_dict, f"{advice} (for a trained policy: caterpillar rl eval)")
+        return read(path, cls.from_dict, f"{advice} (for a trained policy, use caterpillar rl eval)")
 
 
 def _segment(data: Any) -> Morphology:

@@ -43,7 +43,7 @@ class Heating(NamedTuple):
 
 
 class Simulation:
-    """Simulate robots with common physics and individual bodies. New robots are at the start.
+    """Simulate robots with common physics and individual bodies, starting from the initial state.
 
     Args:
         bodies: bodies of B robots. The index of a robot is its row.
@@ -221,7 +221,7 @@ class Simulation:
             heating: return value of `heat`.
             places: indices into `heating.rows` of the robots to advance, ascending; all by default.
             first: first step. It must be 0 or the `last` of the previous call.
-            last: end of the steps; all steps by default.
+            last: index after the last step; by default, all steps are made.
             trace: whether to record and return a trace of the steps.
         """
         springs, control, energy_j = heating.springs, heating.control, heating.energy_j

@@ -48,7 +48,7 @@ class Failure(IntEnum):
 
 
 _MIN_LOAD_N = 1e-6  # below this load, the robot is in the air
-_NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # members are slow to look up
+_NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # looking up enum members is slow
 
 
 @dataclass(frozen=True)
@@ -245,7 +245,7 @@ class Crawl:
     def _measure(self, index: Rows, pose: Pose) -> Array:
         """Return the first six fields of `Progress`, (R, 6)."""
         measured = np.empty((len(index), 6))
-        both = np.empty((len(index), 2, 2))  # the way and the forward axis, horizontal
+        both = np.empty((len(index), 2, 2))  # displacement and forward axis
         np.subtract(pose.com_m[:, :2], self._start_m[index], out=both[:, 0])
         both[:, 1] = pose.forward[:, :2]
         cosine, sine = self._direction[index].T[..., None]

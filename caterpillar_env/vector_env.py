@@ -116,7 +116,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         mask = np.asarray(chosen.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             raise CaterpillarError(
-                f"reset_mask must be a bool array of shape ({self.num_envs},) with a True in it; "
+                f"reset_mask must be a bool array of shape ({self.num_envs},) with at least one True; "
                 f"got {mask}"
             )
         rows, bodies = np.flatnonzero(mask), None

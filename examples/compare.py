@@ -1,4 +1,4 @@
-"""Compare three optimizers at one budget of simulated seconds; for many seeds see docs/study.md."""
+"""Compare three optimizers with the same simulated time; for many seeds see docs/study.md."""
 
 import tempfile
 from pathlib import Path

@@ -47,8 +47,8 @@ class EvalArgs:
             raise CaterpillarError("--video cannot be combined with --which random")
         if self.episodes > 1 and self.which != "random":
             raise CaterpillarError(
-                f"episodes = {self.episodes} of a policy would all be equal; remove --episodes, or add "
-                "--which random"
+                f"episodes = {self.episodes} would repeat the same episode, because a policy is "
+                "deterministic; remove --episodes, or add --which random"
             )
 
 

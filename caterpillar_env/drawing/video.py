@@ -183,5 +183,5 @@ def check_path(path: Path) -> None:
         raise CaterpillarError(f"a video must be an .mp4 or a .gif file; got {path}")
     if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
         raise CaterpillarError(
-            f"cannot write {path}: {path.parent} is no writable folder; choose another with --out"
+            f"cannot write {path}: {path.parent} is not a writable folder; choose another with --out"
         )

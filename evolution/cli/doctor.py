@@ -57,7 +57,8 @@ def doctor_command(argv: Sequence[str]) -> int:
         if finding.remedy:
             print(f"{'':23}to fix it: {finding.remedy}")
     ok = all(finding.status != "NO" for finding in findings)
-    print(f"\n{'Everything' if ok else 'Not everything'} that a run needs works.")
+    missing = "Something that a run needs is missing or too old."
+    print("\n" + ("Everything that a run needs works." if ok else missing))
     return 0 if ok else 1
 
 

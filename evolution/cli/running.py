@@ -77,7 +77,7 @@ class Reporter:
     def generation(self, generation: Generation) -> None:
         """Report a completed generation."""
         done = self._config.share_done(generation.number + 1, generation.simulated_s)
-        self._step, self._done = done - self._done, done  # the next generation may be like this one
+        self._step, self._done = done - self._done, done  # estimate for the next generation
         following = f"generation {generation.number + 1}"
         if generation.replayed:  # replayed generations are excluded from the time left
             self._bar.reset(self._task)

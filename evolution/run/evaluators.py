@@ -54,7 +54,7 @@ def evaluate(
         genomes: array of shape (P, n) with values in [0, 1].
         encoding: maps the genomes to robots.
         threads: number of threads; 0 for all usable cores. Results do not depend on it.
-        on_progress: called with the share of the time that is simulated, in [0, 1].
+        on_progress: called with the simulated share of the total duration, in [0, 1].
 
     Returns:
         The outcomes, arrays of shape (P,).

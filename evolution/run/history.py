@@ -212,7 +212,7 @@ class History:
         """Return how many genomes (P, n) of the next generation are in the journal already.
 
         Raises:
-            CaterpillarError: the journal has different genomes in this place.
+            CaterpillarError: the journal has different genomes at this position.
         """
         known = self._next_rows()
         for evaluation, genome in zip(known, genomes, strict=False):

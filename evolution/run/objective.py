@@ -35,7 +35,7 @@ OBJECTIVES: dict[ObjectiveName, Objective] = {
 
 
 def score(objective: Objective, outcomes: Outcomes, failed_fitness: float) -> Array:
-    """Return the fitness of P robots that the optimizer receives, (P,).
+    """Return the fitness that the optimizer receives for P robots, (P,).
 
     Args:
         objective: function that scores the robots that did not fail.

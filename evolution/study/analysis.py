@@ -180,7 +180,7 @@ def summarize(analysis: Analysis) -> list[str]:
         shown = ", ".join(map(str, analysis.missing[:6])) + (", ..." if analysis.missing[6:] else "")
         lines.append(
             f"UNFINISHED: {len(analysis.missing)} of {len(config.cells())} runs are missing ({shown}); "
-            "these results are of the others."
+            "these results cover the others."
         )
     if analysis.thresholds_m is None:
         lines.append("There are no thresholds yet: the pilot runs are not finished.")
@@ -190,8 +190,8 @@ def summarize(analysis: Analysis) -> list[str]:
         lines += _summarize_times(analysis, analysis.thresholds_m[-1])
     medians = {row.arm: row.median_m.value for row in analysis.finals}
     lines += [
-        f"{row.arm} ends at a median of {_mm(row.median_m.value)} against "
-        f"{_mm(medians[config.reference])} of the reference; A12 {format_estimate(row.a12)}, "
+        f"{row.arm}: median final distance {_mm(row.median_m.value)}, against "
+        f"{_mm(medians[config.reference])} for the reference; A12 {format_estimate(row.a12)}, "
         f"Mann-Whitney p {format_p(row.mann_whitney_p)}."
         for row in analysis.finals
         if row.a12 is not None

@@ -12,7 +12,7 @@ from evolution.study.analysis import Analysis
 from evolution.study.config import Cell
 
 REFERENCE_TIMESTEP_S = 0.00025  #: timestep of the reference simulation, see docs/physics.md
-ARTEFACT_SHARE = 0.1  #: largest relative change of distance that is no artefact
+ARTEFACT_SHARE = 0.1  #: largest relative change of distance that is not an artefact
 
 
 class Winner(NamedTuple):

@@ -86,7 +86,7 @@ def test_status_is_1_only_if_a_required_package_is_missing(monkeypatch, capsys):
     captured = capsys.readouterr().out
     assert "NO  packages           numpy is missing\n" in captured
     assert "to fix it: pip install 'caterpillar-sma'" in captured
-    assert "Not everything that a run needs works." in captured
+    assert "Something that a run needs is missing or too old." in captured
 
 
 @pytest.mark.drawing

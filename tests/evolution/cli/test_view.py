@@ -41,7 +41,7 @@ def test_the_page_is_served_on_loopback_until_ctrl_c(tmp_path):
     ("arguments", "hint"),
     [
         (["nothing.json"], "cannot read nothing.json"),
-        (["other.json"], "other.json: no robot: expected JSON with"),
+        (["other.json"], "other.json: not a robot: expected JSON with"),
         (["slow.json"], "the gait period of 0.25 s must be a whole multiple of 0.1 s"),
         (["--port", "70000"], "port = 70000 must be an integer from 0 to 65535"),
         (["--port", "web"], "--port"),
