@@ -96,7 +96,7 @@ def test_attributes_are_shared_by_all_rows(env):
     assert env.get_attr("render_mode") == [None] * ROWS
     assert len(env.get_attr("observation_names", indices=[0, 2])) == 2
     assert env.env_is_wrapped(gymnasium.wrappers.TimeLimit) == [False] * ROWS
-    with pytest.raises(NotImplementedError, match="set vector_env.render_mode"):
+    with pytest.raises(NotImplementedError, match=r"set vector_env\.render_mode"):
         env.set_attr("render_mode", "rgb_array", indices=1)
 
 
