@@ -38,7 +38,7 @@ spring = robot.physics.spring
 cold = SmaState.cold(spring, (model.nu,))
 fraction = np.vstack([cold.fraction, advance(spring, cold, power, THERMAL_STEP_S).fraction])
 
-# The mechanics. The control is the mean fraction during a physics step, linear in between.
+# The mechanics. The control is the mean fraction during a physics step, interpolated linearly.
 substeps = round(THERMAL_STEP_S / model.opt.timestep)
 mujoco.mj_forward(model, data)
 start_m = data.subtree_com[1, 0]  # x of the centre of mass of the robot; body 1 is its root
@@ -47,7 +47,7 @@ for before, after in itertools.pairwise(fraction):
         data.ctrl = before + (after - before) * (substep + 0.5) / substeps
         mujoco.mj_step(model, data)
 
-# mj_step computes the centre of mass at its start, one step before the end, as for recorded distances.
+# mj_step computes the centre of mass at the start of the step. Recorded distances do the same.
 # Evolution stops a robot that fails; this loop does not.
 distance_m = data.subtree_com[1, 0] - start_m
 print(f"{data.time:.0f} s  {1000 * distance_m:.3f} mm; recorded {1000 * (robot.fitness_m or 0):.3f} mm")

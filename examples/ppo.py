@@ -32,7 +32,7 @@ for update in range(UPDATES):
             action = policy.sample()
             observation, reward, terminated, truncated, info = envs.step(action.clamp(-1, 1).numpy())
             following = torch.as_tensor(observation)
-            future = critic(following) * ~torch.as_tensor(terminated)  # a truncated robot has a future
+            future = critic(following) * ~torch.as_tensor(terminated)  # a truncated episode would go on
             error = torch.as_tensor(reward) + GAMMA * future - critic(state)
         done = torch.as_tensor(terminated | truncated)
         steps.append((state, action, policy.log_prob(action).sum(1), error, done, ~fresh))

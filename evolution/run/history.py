@@ -58,7 +58,7 @@ class History:
         self.own_optimizer: str | None = self.configuration.get("own_optimizer")
         self.own_objective: str | None = self.configuration.get("own_objective")
         self.sessions = journal.sessions
-        # Before the evaluations, because another process may complete a generation meanwhile.
+        # Read these before the evaluations, because another process may complete a generation meanwhile.
         self._completions = journal.generations()
         self.evaluations: list[Evaluation] = list(journal.evaluations())
         self.generations: list[Generation] = []

@@ -109,7 +109,7 @@ class Session(NamedTuple):
 
 
 def fingerprint(packages: Sequence[str] = ()) -> dict[str, str]:
-    """Return the versions, also of additional packages, and the machine type that results depend on."""
+    """Return what results depend on: the versions, also of additional packages, and the machine type."""
     versions = {name: version(name) for name in (*_PACKAGES, *packages)}
     return versions | {"python": platform.python_version(), "machine": platform.machine()}
 

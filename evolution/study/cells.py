@@ -83,7 +83,7 @@ def _exit_with_parent() -> None:
 
 
 class RayTasks:
-    """Runs each cell as a task of a Ray cluster, whose machines must all see the study's folder.
+    """Runs each cell as a task of a Ray cluster, whose machines share the study's folder.
 
     Args:
         address: address of the cluster (see `evolution.run.evaluators.connect_ray`).
@@ -141,7 +141,7 @@ def run_study(
     Args:
         config: the study.
         folder: its folder (see `evolution.study.config.begin`).
-        workers: what runs the cells.
+        workers: object that runs the cells.
         on_progress: called twice a second with the number of cells that have ended, and with the
             completed share of the simulated seconds of all cells, in [0, 1].
 
