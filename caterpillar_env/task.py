@@ -53,7 +53,7 @@ _NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # looking up enum m
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Thresholds of the failures, checked for the mean of the body every control interval.
+    """Thresholds of the failures, checked every control interval for means over the body.
 
     The paper names the failures but gives no thresholds; these are ours. `up` is the vertical component
     of the mean upward axis of the elements (1 upright, 0 on its side, -1 on its back). `heading` is the

@@ -117,7 +117,7 @@ def bootstrap(statistic: Callable[..., float], *groups: tuple[NDArray[Any], ...]
             arrays += [array[rows] for array in group]
         values[i] = statistic(*arrays)
     tail = (1.0 - LEVEL) / 2
-    # A resample may be infinite (no run reached the threshold): take quantiles without interpolation.
+    # The statistic may be infinite (no run reached the threshold), so do not interpolate quantiles.
     values = np.sort(values[~np.isnan(values)])
     low, high = (values[round(q * (len(values) - 1))] for q in (tail, 1.0 - tail))
     return Estimate(value, float(low), float(high))
