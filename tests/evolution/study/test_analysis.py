@@ -135,6 +135,12 @@ def test_summary_states_the_results(analysis):
     assert "UNFINISHED" not in text
 
 
+def test_summary_is_about_the_highest_threshold(few_draws):
+    table = runs("ga-uniform", [ramp(0.0, 0.01)] * 4)
+    lines = summarize(analyse(CONFIG, Results(table, []), [0.02, 0.05]))
+    assert lines[0] == "ga-uniform: 4 of 4 runs reach 50 mm."
+
+
 def test_summary_of_an_unfinished_study_names_what_is_missing(few_draws):
     table = runs("ga-uniform", [[0.01]])
     lines = summarize(analyse(CONFIG, Results(table, [Cell("ga-preprocessed", 1)]), None))

@@ -91,6 +91,9 @@ def test_arms_and_seeds_can_be_added_to_a_study(tmp_path):
     ("fields", "message"),
     [
         ({"budget_s": 300}, "a study with other budget_s"),
+        ({"reference": "cma-es"}, "a study with other reference"),
+        ({"pilot_seeds": [9]}, "a study with other pilot_seeds"),
+        ({"threshold_shares": [0.9]}, "a study with other threshold_shares"),
         ({"arms": {**SMALL["arms"], "cma-es": {"optimizer": "random"}}}, "with other arms.cma-es"),
     ],
     ids=str,

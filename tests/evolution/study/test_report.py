@@ -30,11 +30,15 @@ STUDY = Analysis(
 
 
 def test_best_distance_steps_when_an_evaluation_ends():
-    *runs, median, threshold = report.draw_best(STUDY).axes[0].lines
+    (axis,) = report.draw_best(STUDY).axes
+    *runs, median, threshold = axis.lines
     assert [run.get_ydata().tolist() for run in runs] == [[0, 0, 0, 20], [0, 0, 10, 60]]  # mm
     assert median.get_ydata().tolist() == [0, 0, 5, 40]
     assert median.get_xdata().tolist() == [0.0, 0.029, 0.030, 0.061]  # 1000 s
     assert set(threshold.get_ydata()) == {50.0}
+    (band,) = axis.collections
+    (outline,) = band.get_paths()
+    assert {y for x, y in outline.vertices if x == 0.061} == {30.0, 50.0}  # quartiles of 20 and 60
 
 
 def test_survival_ends_at_the_budget():

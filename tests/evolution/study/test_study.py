@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+import threading
 import time
 import tomllib
 from pathlib import Path
@@ -12,9 +13,12 @@ import numpy as np
 import polars
 import pytest
 
+from caterpillar_env import machine
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.robot import Outcomes
 from evolution import cli
 from evolution.run.database import is_in_use
+from evolution.run.history import History
 from evolution.run.journal import Journal, read_simulated_s
 from evolution.study.analysis import analyse
 from evolution.study.cells import Processes, RayTasks, run_study
@@ -93,6 +97,48 @@ def test_progress_of_a_run_is_read_from_its_journal(finished):
     simulated_s = read_simulated_s(cell.folder(finished))
     assert simulated_s == pytest.approx(rows["simulated_s"].sum())
     assert read_simulated_s(finished / "nothing") == 0.0
+
+
+class Waiting:
+    """Workers whose runs wait until their progress was reported."""
+
+    count = 2
+
+    def __init__(self):
+        self.reported = threading.Event()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        return None
+
+    def run(self, task):
+        self.reported.wait()
+
+
+def test_progress_counts_every_run_up_to_its_budget(tmp_path):
+    config = StudyConfig.from_dict(changed(arms={"ga-uniform": SMALL["arms"]["ga-uniform"]}))
+    arm, workers, reports = config.arms["ga-uniform"], Waiting(), []
+    for seed, evaluations in ((8, 9), (0, 4), (1, 8)):  # of 30 s each; the budget is 240 s
+        folder = Cell("ga-uniform", seed).folder(tmp_path)
+        folder.mkdir(parents=True)
+        with Journal.create(folder, arm.run_config(seed, config.budget_s).to_dict()) as journal:
+            history = History(journal)
+            history.begin()
+            genomes = np.full((evaluations, len(arm.config.encoding.genes)), 0.5)
+            ends = np.full((3, evaluations), 30.0)
+            history.append(genomes, Outcomes(np.zeros(evaluations, dtype=np.int8), *ends))
+            if seed == 1:
+                history.finish()
+
+    def report(ended, share):
+        reports.append((ended, share))
+        workers.reported.set()
+
+    run_study(config, tmp_path, workers, report)
+    assert reports[0] == (1, pytest.approx((1.0 + 0.5 + 1.0) / 3))
+    assert reports[-1] == (3, 1.0)
 
 
 def test_runs_with_other_settings_are_rejected(finished, tmp_path):
@@ -261,6 +307,29 @@ def test_errors_for_wrong_input_are_one_line(tmp_path, monkeypatch, capsys, argu
     err = capsys.readouterr().err
     assert message in err
     assert err.count("\n") == 1
+
+
+def test_processes_limit_the_simultaneous_runs(tmp_path, monkeypatch):
+    counts = []
+
+    def stop(config, folder, workers, on_progress):
+        counts.append(workers.count)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("evolution.cli.study.run_study", stop)
+    for flags in (["--processes", "3"], []):
+        arguments = ["study", str(Path(__file__).with_name("small.toml")), "--out", str(tmp_path)]
+        assert cli.main([*arguments, *flags]) == 130
+    assert counts == [3, machine.cores()]
+
+
+def test_study_with_a_failed_run_exits_with_status_1(finished, tmp_path, monkeypatch, capsys):
+    shutil.copytree(finished, tmp_path / "study")
+    failed = [(Cell("cma-es", 1), "no space")]
+    monkeypatch.setattr("evolution.cli.study.run_study", lambda *_: failed)
+    arguments = ["study", str(Path(__file__).with_name("small.toml")), "--out", str(tmp_path / "study")]
+    assert cli.main(arguments) == 1
+    assert "cma-es seed 1 failed: no space" in capsys.readouterr().err
 
 
 def test_best_robots_are_simulated_again_once(finished, capsys):
