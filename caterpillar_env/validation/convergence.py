@@ -141,7 +141,7 @@ def plot(result: Comparison, path: Path) -> None:
     right.set(xlabel="difference from the reference (mm), evolved robots", ylabel="share of robots")
     right.set_xscale("log")
     for axis in (left, right):
-        axis.legend()
+        axis.legend(loc="upper left")
         axis.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
 

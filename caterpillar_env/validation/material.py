@@ -245,6 +245,6 @@ def plot(path: Path) -> None:
         right.plot(_temperature(spring, step), step.fraction, color=colour, label=word)
     right.set(xlabel="temperature (degC)", ylabel="austenite fraction")
     for axis in (left, middle, right):
-        axis.legend(fontsize="small")
+        axis.legend(fontsize="small", loc="upper left")
         axis.grid(alpha=0.3)
     figure.savefig(path, dpi=110)

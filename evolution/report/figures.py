@@ -56,7 +56,7 @@ def convergence(generations: Sequence[Generation], title: str) -> Figure:
     )
     upper.set(ylabel="distance in 30 s (mm)", ylim=(0, None))
     upper.set_title(title, loc="left", fontsize="medium")
-    upper.legend()
+    upper.legend(loc="upper left")
     upper.grid(alpha=0.3)
     bottom = np.zeros(len(generations))
     for index, reason in enumerate(generations[0].failures):
@@ -68,7 +68,7 @@ def convergence(generations: Sequence[Generation], title: str) -> Figure:
     for axis in (lower.xaxis, lower.yaxis):
         axis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     if bottom.any():
-        lower.legend(fontsize="small")
+        lower.legend(fontsize="small", loc="upper right")
     return figure
 
 

@@ -104,9 +104,7 @@ def _colours(analysis: Analysis) -> dict[str, Any]:
 
 def _add_legend(axis: Axes) -> None:
     axis.grid(alpha=0.3)
-    crowded = len(axis.get_legend_handles_labels()[1]) > 8
-    outside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if crowded else {}
-    axis.legend(fontsize="small", **outside)
+    axis.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
 def write(analysis: Analysis, winners: Sequence[Winner], folder: Path) -> Path:
