@@ -94,6 +94,21 @@ def test_preset_gives_the_defaults_of_the_other_flags(monkeypatch, flags, genera
     assert configs[0].ga.population == population
 
 
+def test_evolve_uses_the_given_workers(elsewhere, monkeypatch):
+    used = []
+
+    def record(config, folder, *, evaluator, **others):
+        used.append(evaluator)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("evolution.cli.evolve.evolve", record)
+    monkeypatch.setattr(running, "LocalEvaluator", lambda threads: f"{threads} threads")
+    monkeypatch.setattr(running, "RayEvaluator", lambda address: f"Ray at {address}")
+    assert cli.main(["evolve", "--threads", "3"]) == 130
+    assert cli.main(["evolve", "--evaluator", "ray", "--ray-address", "here:1"]) == 130
+    assert used == ["3 threads", "Ray at here:1"]
+
+
 def test_flags_override_the_preset(run):
     folder, _, _ = run
     assert load(folder).config == CONFIG
@@ -221,6 +236,13 @@ def test_resume_does_not_repeat_a_finished_run(run, tmp_path, capsys):
     assert captured.err == "already finished: all 1 generations are complete\n"
     assert f"caterpillar resume {tmp_path / 'run'} --generations 2" in captured.out
     assert {p.name: p.read_bytes() for p in (tmp_path / "run").iterdir()} == before
+
+
+def test_resume_writes_a_lost_best_robot_again(run, tmp_path):
+    shutil.copytree(run[0], tmp_path / "run")
+    (tmp_path / "run" / "best.json").unlink()
+    assert cli.main(["resume", str(tmp_path / "run"), "--no-video"]) == 0
+    assert (tmp_path / "run" / "best.json").read_bytes() == (run[0] / "best.json").read_bytes()
 
 
 def test_resume_refuses_a_damaged_journal(elsewhere, capsys):

@@ -122,10 +122,20 @@ def test_runs_are_listed_with_their_state(runs, capsys):
     assert "is damaged" in rows["damaged"]["state"]
 
 
+def test_a_run_with_a_budget_is_listed_without_a_number_of_generations(tmp_path, capsys):
+    (tmp_path / "run").mkdir()
+    Journal.create(tmp_path / "run", replace(CONFIG, budget_s=240.0).to_dict()).close()
+    assert cli.main(["runs", str(tmp_path), "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert row["generation"] == "0"
+
+
 def test_a_run_that_is_worked_on_is_running(runs, capsys):
-    with Journal(runs / "stopped"):
-        assert cli.main(["runs", str(runs)]) == 0
-    assert "running" in capsys.readouterr().out
+    for name in ("stopped", "done"):  # the second is made longer
+        with Journal(runs / name):
+            assert cli.main(["runs", str(runs / name), "--json"]) == 0
+        (row,) = json.loads(capsys.readouterr().out)
+        assert row["state"] == "running"
 
 
 def test_no_runs_is_no_error(tmp_path, capsys):

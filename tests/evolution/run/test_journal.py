@@ -276,3 +276,5 @@ def test_sessions_tell_when_they_began_and_ended(tmp_path):
     assert 0 <= finished.wall_s < 60
     times = {"started": "2026-02-28 23:59:50", "finished": "2026-03-01 00:01:00"}
     assert finished._replace(**times).wall_s == 70.0
+    days = {"started": "2026-02-28 23:59:50", "finished": "2026-03-02 00:01:00"}
+    assert finished._replace(**days).wall_s == 24 * 3600 + 70.0

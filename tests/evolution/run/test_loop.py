@@ -223,6 +223,14 @@ def test_progress_runs_from_nothing_to_all_in_each_generation(tmp_path):
     assert shares[-1] == pytest.approx(1.0)
 
 
+def test_progress_counts_the_chunks_that_were_evaluated_before(tmp_path, monkeypatch):
+    monkeypatch.setattr("evolution.run.loop.CHUNK", 2)
+    shares = []
+    config = RunConfig(generations=1, physics=SHORT, ga=GaConfig(population=3, hall_of_fame=0))
+    evolve(config, tmp_path, evaluator=ONE, on_progress=shares.append)
+    assert shares == pytest.approx([*np.linspace(0, 2 / 3, 31)[1:], *np.linspace(2 / 3, 1, 31)[1:]])
+
+
 # Failures
 
 

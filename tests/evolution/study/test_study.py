@@ -114,7 +114,7 @@ class Waiting:
         return None
 
     def run(self, task):
-        self.reported.wait()
+        self.reported.wait(timeout=20)
 
 
 def test_progress_counts_every_run_up_to_its_budget(tmp_path):
