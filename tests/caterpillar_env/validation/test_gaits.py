@@ -1,6 +1,9 @@
+import mujoco
+import numpy as np
 import pytest
 
-from caterpillar_env.validation.gaits import Gait, check_gaits, measure_gait
+from caterpillar_env.ground import FOOT, SKIN
+from caterpillar_env.validation.gaits import Gait, _replay, check_gaits, measure_gait
 from caterpillar_env.validation.robots import evolved_robots
 
 
@@ -25,6 +28,66 @@ def test_figures_are_plausible(gait):
     assert 0 <= gait.body_load <= 0.15  # 5 % of 30 s may all fall into the first 10 s
     assert gait.overrun >= 0
     assert gait.slip > 0
+
+
+#: A body on three supports without friction. Motors turn it about the vertical axis and push it. The
+#: centre of mass lies between the front support, which bears 60 % of the weight, and the others.
+SPINNING = """
+<mujoco>
+  <option timestep="0.001"/>
+  <worldbody>
+    <geom type="plane" size="1 1 1" condim="1" contype="3" conaffinity="0"/>
+    <body pos="0 0 0.01">
+      <freejoint name="root"/>
+      <inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>
+      <geom size="0.01" pos="0.02 0 0" condim="1" contype="0" conaffinity="{front}"/>
+      <geom size="0.01" pos="-0.03 0.05 0" condim="1" contype="0" conaffinity="1"/>
+      <geom size="0.01" pos="-0.03 -0.05 0" condim="1" contype="0" conaffinity="1"/>
+      <body>
+        <joint name="hinge" axis="0 1 0" limited="true" range="-0.1 0.1"/>
+        <inertial pos="0 0 0" mass="1e-3" diaginertia="1e-6 1e-6 1e-6"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="root" gear="0 0 0 0 0 1"/>
+    <motor joint="root" gear="0 1 0 0 0 0"/>
+    <motor joint="hinge"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def spin(front, push_n=0.0, hinge_n_m=0.0):
+    """Return the turned angle (rad), slip (m), load share of the body, and overrun after 0.5 s."""
+    model = mujoco.MjModel.from_xml_string(SPINNING.format(front=front))
+    control = np.tile([1e-4, push_n, hinge_n_m], (500, 1))
+    qpos, _, slip_m, body_load, overrun = _replay(model, control)
+    return 2 * np.arctan2(qpos[6], qpos[3]), slip_m, body_load, overrun
+
+
+def test_slip_is_the_sliding_distance_of_the_feet_weighted_by_their_loads():
+    turned, slip_m, body_load, _ = spin(front=FOOT)
+    assert slip_m == pytest.approx(turned * (0.6 * 0.02 + 0.4 * np.hypot(0.03, 0.05)), rel=0.01)
+    assert body_load == 0
+
+
+def test_foot_about_which_the_body_turns_does_not_slip():
+    # The centre of mass accelerates at 0.02 m times the angular acceleration of 1e-4 / 1.01e-4 rad/s2.
+    turned, slip_m, _, _ = spin(front=FOOT, push_n=-0.02 * 0.101 * 1e-4 / 1.01e-4)
+    assert slip_m == pytest.approx(turned * 0.4 * np.hypot(0.05, 0.05), rel=0.05)
+
+
+def test_skin_bears_load_but_does_not_slip():
+    turned, slip_m, body_load, _ = spin(front=SKIN)
+    assert slip_m == pytest.approx(turned * np.hypot(0.03, 0.05), rel=0.01)
+    assert body_load == pytest.approx(0.6, rel=0.01)
+
+
+def test_joints_overrun_their_lower_limits_too():
+    lower, upper = (spin(FOOT, hinge_n_m)[-1] for hinge_n_m in (-1e-5, 1e-5))
+    assert lower == pytest.approx(upper, rel=0.2)
+    assert upper > 0.01
 
 
 @pytest.mark.parametrize(
