@@ -205,6 +205,12 @@ def test_page_names_a_custom_optimizer(tmp_path):
     assert "may not use the prior" in page
 
 
+def test_page_does_not_resume_a_run_with_the_users_own_objective(tmp_path):
+    page = ran(tmp_path / "run", objective=lambda outcomes: -outcomes.energy_j)
+    assert "caterpillar replay run" in page
+    assert "caterpillar resume" not in page
+
+
 def test_page_of_a_run_without_a_best_robot_lists_the_failures(tmp_path):
     page = ran(tmp_path / "run", replace(SHORT, physics=BREAKS))
     assert "no robot crawled forwards without failing" in page
@@ -245,6 +251,9 @@ def test_incomplete_generation_is_excluded_from_the_figures(tmp_path):
     assert "50 evaluations belong to an incomplete generation" in page
     assert number(page, "best-m") == history.best.distance_m < 1.0
     assert number(page, "evaluations") == 55
+    assert number(page, "simulated-s") == pytest.approx(
+        history.simulated_s + 50 * first.simulated_s, rel=1e-12
+    )
 
 
 def test_run_without_evaluations_has_a_page(tmp_path):

@@ -87,6 +87,17 @@ def test_the_speed_slider_sets_the_simulated_seconds_per_second(hand):
     assert hand.page.session.time_s <= 0.1 * (time.monotonic() - began_s) + 0.1 + 1e-9
 
 
+def test_a_crawling_robot_does_not_catch_up_after_an_interruption(hand, monkeypatch):
+    elapsed_s = []
+    monkeypatch.setattr(hand.page, "_advance", elapsed_s.append)
+    hand.press("Play")
+    hand.wait_for("Crawling")
+    hand.page._queue.put(lambda: time.sleep(0.5))
+    count = len(elapsed_s)
+    hand.wait(lambda: len(elapsed_s) > count + 3)
+    assert max(elapsed_s) == 0.25
+
+
 def test_a_finished_robot_stops_and_can_be_saved(hand, client, monkeypatch):
     sent = {}
     monkeypatch.setattr(client, "send_file_download", lambda name, data, **_: sent.update({name: data}))
