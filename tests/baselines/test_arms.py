@@ -1,6 +1,5 @@
 """Reinforcement learning as an arm of a study, next to a genetic algorithm."""
 
-import json
 import shutil
 import sqlite3
 from dataclasses import replace
@@ -9,9 +8,10 @@ import polars
 import pytest
 
 from baselines.arms import TrainArm
-from baselines.config import TrainConfig
+from baselines.config import TrainConfig, make_configuration
 from caterpillar_env.errors import CaterpillarError
 from evolution.run.history import History
+from evolution.run.journal import Journal
 from evolution.study.config import Cell, StudyConfig, load, preset
 from evolution.study.results import collect
 
@@ -80,19 +80,16 @@ def test_run_repeats_an_interrupted_training(finished, tmp_path):
     assert [e.distance_m for e in again.evaluations] == [e.distance_m for e in before.evaluations]
 
 
-@pytest.mark.slow
-def test_training_matches_its_settings_and_hyperparameters_only(finished, tmp_path):
-    arm, run = load(finished).arms["ppo"], tmp_path / "cell"
-    shutil.copytree(Cell("ppo", 0).folder(finished), run)
-    history = History.read(run)
-    assert arm.matches(history, 0, 300)
-    assert not arm.matches(history, 1, 300)
-    assert not replace(arm, config=replace(arm.config, mode="switch")).matches(history, 0, 300)
-    changed = json.loads(json.dumps(history.configuration))
-    changed["hyperparameters"]["n_envs"] = 99
-    with sqlite3.connect(run / "journal.sqlite") as db:
-        db.execute("UPDATE run SET configuration = ?", [json.dumps(changed)])
-    assert not arm.matches(History.read(run), 0, 300)
+def test_training_matches_its_settings_and_hyperparameters_only(tmp_path):
+    arm = TrainArm(TrainConfig(mode="timing"))
+    with Journal.create(tmp_path, make_configuration(arm._configure(0, 300))) as journal:
+        history = History(journal)
+        assert arm.matches(history, 0, 300)
+        assert not arm.matches(history, 1, 300)
+        assert not arm.matches(history, 0, 600)
+        assert not TrainArm(TrainConfig()).matches(history, 0, 300)
+        history.configuration["hyperparameters"]["n_envs"] = 99
+        assert not arm.matches(history, 0, 300)
 
 
 @pytest.mark.slow

@@ -2,11 +2,16 @@
 
 import json
 import sys
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from rich.progress import Progress
 
 from baselines.config import Training
 from baselines.policy import TrainedRobot
+from caterpillar_env.robot import Outcomes
+from caterpillar_env.task import Failure
 from evolution import cli
 
 SMALL = ["--num-segments", "2", "--timestep-s", "0.01", "--mode", "timing", "--evaluations", "2"]
@@ -70,6 +75,42 @@ def test_episodes_with_random_actions_differ(folder, capsys):
     *rows, summary = capsys.readouterr().out.splitlines()
     assert len({row.split(" mm")[0] for row in rows}) > 1  # in tenths of a millimetre
     assert summary.startswith("median ")
+
+
+def test_random_episodes_have_different_seeds_and_failures_count_as_0(folder, capsys, monkeypatch):
+    seeds = []
+    ends = iter([(0.02, Failure.NONE), (0.9, Failure.TIPPED), (0.04, Failure.NONE)])
+
+    def simulate(robot, timestep_s, *, seed):
+        seeds.append(seed)
+        distance_m, failure = next(ends)
+        return Outcomes(np.array([failure]), np.array([distance_m]), np.ones(1), np.full(1, 30.0))
+
+    monkeypatch.setattr(TrainedRobot, "simulate", simulate)
+    assert cli.main(["rl", "eval", str(folder), "--which", "random", "--episodes", "3"]) == 0
+    summary = capsys.readouterr().out.splitlines()[-1]
+    assert summary == "median 20.0 mm, quartiles 10.0 to 30.0 (failures count as 0)"
+    assert seeds == [1, 2, 3]
+
+
+def test_train_estimates_the_time_left(tmp_path, capsys, monkeypatch):
+    now_s = [0.0]
+
+    def train(config, folder, *, on_evaluation, **others):
+        now_s[0] = 600.0
+        evaluation = SimpleNamespace(distance_m=0.01, failure=Failure.NONE)
+        history = SimpleNamespace(
+            evaluations=[evaluation], best=None, simulated_s=config.budget_s / 4, finished=True
+        )
+        on_evaluation(history)
+        return SimpleNamespace(history=history)
+
+    monkeypatch.setattr("baselines.cli.train.train", train)
+    monkeypatch.setattr(
+        "evolution.cli.bar", lambda console: Progress(disable=True, get_time=lambda: now_s[0])
+    )
+    assert cli.main(["rl", "train", "--out", str(tmp_path / "run")]) == 0
+    assert capsys.readouterr().err.startswith(" 25 %, left 30 min  simulated 7,500 s")
 
 
 def test_train_without_a_best_policy_writes_no_video(tmp_path, capsys):
