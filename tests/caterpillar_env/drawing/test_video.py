@@ -180,6 +180,24 @@ def test_tiles_lie_side_by_side_and_keep_time(recording, long_and_failed, tmp_pa
     assert frames[0][10:-10, 100:102].mean() > 230  # the gap
 
 
+def test_tiles_share_one_scale_until_the_longest_recording_ends(
+    recording, long_and_failed, tmp_path, monkeypatch
+):
+    lengths_m = []
+
+    def open_renderer(*arguments, view_length_m=None):
+        lengths_m.append(view_length_m)
+        return RobotRenderer(*arguments, view_length_m=view_length_m)
+
+    monkeypatch.setattr(video, "RobotRenderer", open_renderer)
+    path = tmp_path / "two.mp4"
+    write_video([recording, long_and_failed], path, VideoConfig(speed=300.0, width=202, height=76))
+    _, frames = read_frames(path)
+    assert len(frames) == 4 + 25  # times 0, 12, 24 and 36 s, and the last frame for a second
+    assert lengths_m == [long_and_failed.body_length_m] * 2
+    assert not is_video_of(path, recording.robot)  # it shows another robot too
+
+
 def test_bodies_are_shown_at_one_scale(recording):
     def body_px(view_m):
         with open_view(recording, 160, 120, "top", view_m) as draw:
