@@ -101,7 +101,7 @@ def test_robots_of_all_kinds_are_exported(tmp_path, genome):
         (["export", "empty", "--to", "mjcf"], "empty holds no best.json"),
         (["export", "done", "--to", "mjcf", "--out", "missing/robot.xml"], "cannot write missing/robot"),
         (["export", "done", "--to", "mjcf", "--out", "empty"], "choose another place with --out"),
-        (["export", "policy.json", "--to", "mjcf"], "a trained policy crawls by caterpillar rl eval"),
+        (["export", "policy.json", "--to", "mjcf"], "for a trained policy, use caterpillar rl eval"),
         (["runs", "nowhere"], "nowhere is not a folder"),
     ],
 )
