@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from caterpillar_env.arrays import Array
 
 
@@ -44,3 +47,17 @@ class Trace(NamedTuple):
     qpos: Array  #: MuJoCo generalized positions, (R, K, nq)
     temperature_c: Array  #: of the springs, (R, K, num_springs)
     energy_j: Array  #: electrical, since reset, (R, K)
+
+
+class SimulationState(NamedTuple):
+    """State of R robots: everything that their motion depends on, except bodies and conditions."""
+
+    qpos: Array  #: MuJoCo generalized positions, (R, nq)
+    qvel: Array  #: MuJoCo generalized velocities, (R, nv)
+    time_s: Array  #: MuJoCo's time, (R,)
+    warmstart: Array  #: accelerations from which MuJoCo's solver starts, (R, nv)
+    enthalpy_j_kg: Array  #: of the springs, (R, num_springs)
+    fraction: Array  #: austenite fraction of the springs, (R, num_springs)
+    steps: NDArray[np.int64]  #: thermal steps since reset, (R,)
+    energy_j: Array  #: electrical energy since reset, (R,)
+    load_n: Array  #: on feet and skin, mean of the last interval, (R, 2)

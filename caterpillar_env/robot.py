@@ -40,6 +40,13 @@ class Outcomes(NamedTuple):
         distance_m = np.where(np.isfinite(end.distance_m), end.distance_m, 0.0)
         return cls(end.failure, distance_m, end.energy_j, end.time_s)
 
+    @property
+    def stopped(self) -> NDArray[np.bool_]:
+        """Whether each robot was stopped before its time without a failure, by racing, (P,)."""
+        early = self.simulated_s < EPISODE_S - CONTROL_INTERVAL_S / 2
+        stopped: NDArray[np.bool_] = early & (self.failure == Failure.NONE)
+        return stopped
+
     def fitness(self) -> Array:
         """Return the distance in m, at least 0, or 0 for a failed robot, (P,)."""
         return np.where(self.failure == Failure.NONE, np.maximum(self.distance_m, 0.0), 0.0)
@@ -66,20 +73,43 @@ def simulate(
         on_interval: function to call with the trace of every control interval.
         on_progress: function to call with the simulated share of the duration, in [0, 1].
     """
-    count_steps(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
-    steps = count_steps(duration_s, CONTROL_INTERVAL_S, "the duration") * STEPS_PER_INTERVAL
-    power = timings.of_springs(physics.num_springs).power(SMA_STEP_S)
     crawl = Crawl(bodies, physics, threads)
+    follow(crawl, timings, 0.0, duration_s, on_interval=on_interval, on_progress=on_progress)
+    return Outcomes.of(crawl.progress())
+
+
+def follow(
+    crawl: Crawl,
+    timings: GaitTimings,
+    start_s: float,
+    end_s: float,
+    *,
+    on_interval: OnInterval | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> None:
+    """Advance the robots of a `Crawl` with periodic gaits, from one time since reset to another.
+
+    Args:
+        crawl: P robots at the time `start_s`.
+        timings: see `simulate`.
+        start_s: time from which to simulate, s, a multiple of 0.1 s.
+        end_s: time until which to simulate, s, a multiple of 0.1 s.
+        on_interval: see `simulate`.
+        on_progress: function to call with the simulated share of this time, in [0, 1].
+    """
+    count_steps(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
+    steps = count_steps(end_s - start_s, CONTROL_INTERVAL_S, "the duration") * STEPS_PER_INTERVAL
+    power = timings.of_springs(crawl.physics.num_springs).power(SMA_STEP_S)
+    before = round(start_s / SMA_STEP_S)
     # Simulate a few intervals at a time to limit memory.
     first = 0
     while first < steps:
-        phase = first % power.shape[1]
+        phase = (before + first) % power.shape[1]
         part = power[:, phase : phase + min(_CHUNK_STEPS, steps - first)]
         crawl.run(part, on_interval=on_interval)
         first += part.shape[1]
         if on_progress is not None:
             on_progress(first / steps)
-    return Outcomes.of(crawl.progress())
 
 
 class AnyRobot(Protocol):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -24,7 +24,7 @@ from caterpillar_env.machine import cores
 from caterpillar_env.model import ELEMENTS_PER_SEGMENT, ModelBuilder
 from caterpillar_env.morphology import Body
 from caterpillar_env.physics import SMA_STEP_S, Physics
-from caterpillar_env.pose import BodyState, Pose, Trace
+from caterpillar_env.pose import BodyState, Pose, SimulationState, Trace
 from caterpillar_env.randomization import Conditions, apply_conditions
 from caterpillar_env.sma import SmaState, SmaStep, advance
 
@@ -82,6 +82,7 @@ class Simulation:
         self.engine.set_models(self.models)
         bind = self.engine.bind
         self._qpos, self._qvel = bind("qpos"), bind("qvel")
+        self._warmstart, self._time = bind("qacc_warmstart"), bind("time")
         self._xpos, self._xmat = bind("xpos"), bind("xmat")
         self._com, self._cvel = bind("subtree_com"), bind("cvel")
         self._geom_xpos, self._geom_xmat = bind("geom_xpos"), bind("geom_xmat")
@@ -175,6 +176,29 @@ class Simulation:
         if standing:
             self._qpos[index, 2] -= self.pose(index).clearance_m + STANCE_M
             self._refresh(index)
+
+    def get_state(self, rows: Rows | None = None) -> SimulationState:
+        """Return the state of robots as new arrays, from which their motion can be repeated exactly."""
+        index = self.rows(rows)
+        return SimulationState(*(field[index] for field in self._state_fields()))
+
+    def set_state(self, state: SimulationState, rows: Rows | None = None) -> None:
+        """Set the state of robots, which must have the bodies and conditions of `get_state`.
+
+        Args:
+            state: state of R robots.
+            rows: indices of the robots to change, (R,); all by default.
+        """
+        index = self.rows(rows)
+        self.engine.reset(index, stage=mujoco.mjtStage.mjSTAGE_NONE.value)  # clears warnings
+        for field, value in zip(self._state_fields(), state, strict=True):
+            field[index] = value
+        self._refresh(index)
+
+    def _state_fields(self) -> tuple[NDArray[Any], ...]:
+        """Return the arrays of `SimulationState` for all rows."""
+        engine = (self._qpos, self._qvel, self._time, self._warmstart)
+        return (*engine, *self._sma, self._steps, self.energy_j, self._load_n)
 
     def heat(self, power: Array, rows: Rows | None = None) -> Heating:
         """Compute the springs of robots for the next K thermal steps, without moving the robots.

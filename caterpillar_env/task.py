@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import count_steps
 from caterpillar_env.morphology import Body
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
-from caterpillar_env.pose import Pose, Trace
+from caterpillar_env.pose import Pose, SimulationState, Trace
 from caterpillar_env.randomization import Conditions
 from caterpillar_env.simulation import FREE_QPOS, Simulation
 
@@ -113,6 +113,32 @@ class Progress(NamedTuple):
     failure: NDArray[np.int8]  #: values of `Failure`, (R,)
 
 
+class CrawlState(NamedTuple):
+    """State of R crawling robots, see `Crawl.get_state`."""
+
+    simulation: SimulationState
+    failure: NDArray[np.int8]  #: (R,)
+    start_m: Array  #: horizontal position at reset, (R, 2)
+    direction: Array  #: cosine and sine of the starting heading, (R, 2)
+    measured: Array  #: the first six fields of `Progress`, (R, 6)
+    borne_s: Array  #: load share of the body integrated over time, (R,)
+
+    def rows(self, index: Rows) -> CrawlState:
+        """Return the states of some of the robots."""
+        parts: Any = (self.simulation, self[1:])
+        simulation, others = ((field[index] for field in fields) for fields in parts)
+        return CrawlState(SimulationState(*simulation), *others)
+
+    @classmethod
+    def join(cls, states: Sequence[CrawlState]) -> CrawlState:
+        """Return the states of all robots of several groups."""
+        parts: Any = ([state.simulation for state in states], [state[1:] for state in states])
+        simulation, others = (
+            (np.concatenate(fields) for fields in zip(*part, strict=True)) for part in parts
+        )
+        return cls(SimulationState(*simulation), *others)
+
+
 class Crawl:
     """Simulate crawling robots, each until it fails. New robots are at the start.
 
@@ -177,6 +203,28 @@ class Crawl:
                 qpos[:, FREE_QPOS:] += offset
             self.simulation.place(qpos, index, standing=offset is not None)
         self._start(index, heading_rad)
+
+    def get_state(self, rows: Rows | None = None) -> CrawlState:
+        """Return the state of robots as new arrays, from which their motion can be repeated exactly."""
+        index = self.simulation.rows(rows)
+        fields = (field[index] for field in self._state_fields())
+        return CrawlState(self.simulation.get_state(index), *fields)
+
+    def set_state(self, state: CrawlState, rows: Rows | None = None) -> None:
+        """Set the state of robots, which must have the bodies and conditions of `get_state`.
+
+        Args:
+            state: state of R robots.
+            rows: indices of the robots to change, (R,); all by default.
+        """
+        index = self.simulation.rows(rows)
+        self.simulation.set_state(state.simulation, index)
+        for field, value in zip(self._state_fields(), state[1:], strict=True):
+            field[index] = value
+
+    def _state_fields(self) -> tuple[NDArray[Any], ...]:
+        """Return the arrays of `CrawlState` for all rows, without the simulation."""
+        return self.failure, self._start_m, self._direction, self._measured, self._borne_s
 
     def _start(self, index: Rows, heading_rad: float) -> None:
         self.failure[index] = Failure.NONE
