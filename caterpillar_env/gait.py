@@ -21,6 +21,7 @@ from caterpillar_env.errors import CaterpillarError
 GAIT_PERIOD_S = 5.0
 SPRINGS_PER_GAP = 4
 PAIRS_PER_GAP = 2
+MAX_DUTY = 0.95  #: largest duty, as a share of the period; a spring that is always on never moves
 
 
 def spring_names(num_segments: int) -> list[str]:
@@ -82,6 +83,32 @@ class GaitTimings:
         """
         times = np.clip((np.asarray(action, dtype=np.float64) + 1.0) * 0.5 * period_s, 0.0, period_s)
         return cls(period_s, times[..., 0::2], times[..., 1::2])
+
+    @classmethod
+    def from_phases(
+        cls, delay: Array, duty: Array, period_s: float, *, springs: bool = False
+    ) -> GaitTimings:
+        """Create timings from delays and duties, as shares of the period.
+
+        The delay of a dorsal pair counts from the dorsal pair of the gap ahead; in the first gap, it
+        counts from the start of the period. The delay of a ventral pair counts from the dorsal pair of
+        the same gap. Delays are circular: 0 and 1 are the same.
+
+        Args:
+            delay: delay of each pair, shape (..., pairs).
+            duty: powered share of the period, in [0, `MAX_DUTY`], same shape.
+            period_s: gait period, s.
+            springs: whether the values are those of springs, shape (..., springs), instead of pairs.
+                The delay of a left spring is that of its pair. The delay of a right spring counts from
+                the left spring of the same pair.
+        """
+        sides = SPRINGS_PER_GAP // PAIRS_PER_GAP if springs else 1
+        phase = np.array(delay, dtype=np.float64).reshape(*delay.shape[:-1], -1, PAIRS_PER_GAP, sides)
+        phase[..., 0, 0] = np.cumsum(phase[..., 0, 0], axis=-1)
+        phase[..., 1, 0] += phase[..., 0, 0]
+        phase[..., 1:] += phase[..., :1]
+        on = phase.reshape(delay.shape)
+        return cls(period_s, on % 1.0 * period_s, (on + duty) % 1.0 * period_s)
 
     def to_action(self) -> NDArray[np.float32]:
         """Return the action for these timings, shape (..., 2 n), float32; see `from_action`."""

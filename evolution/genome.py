@@ -1,12 +1,20 @@
-"""The genome: morphology genes, then the times at which the springs are switched on and off.
+"""The genome: morphology genes, then the gait genes.
 
 A genome is a point in [0, 1]^n, where 0 and 1 are the bounds of a gene in SI units. The kinds of genomes
-(n is for four segments):
+(n is for four segments and on-off timing):
 
 - `shared`, n = 20: 8 morphology genes for all segments, times of the left-right pairs of springs
   (Saunders 2009, section III).
 - `full`, n = 32: times of every spring.
 - `per-segment`, n = 44: 8 morphology genes for each segment, times of the pairs.
+
+The gait genes depend on the timing:
+
+- `on-off`: the times at which each pair (or spring) is switched on and off, as in the paper.
+- `phase`: delay and duty of each pair (or spring), see `GaitTimings.from_phases`.
+- `wave`: four genes for the whole gait. The dorsal pairs follow each other with one delay (lag), and
+  the ventral pairs follow the dorsal ones with another (offset). Dorsal and ventral pairs have one duty
+  each.
 """
 
 from __future__ import annotations
@@ -21,14 +29,27 @@ import numpy as np
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError, check_choice
-from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, count_steps, pair_names, spring_names
+from caterpillar_env.gait import (
+    GAIT_PERIOD_S,
+    MAX_DUTY,
+    GaitTimings,
+    count_steps,
+    pair_names,
+    spring_names,
+)
 from caterpillar_env.morphology import PARAMETERS, Body, Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.robot import Robot
 
 GenomeKind = Literal["shared", "full", "per-segment"]
+Timing = Literal["on-off", "phase", "wave"]
 
-_DISPLAY_UNITS = {"m": (1000.0, "mm"), "kg": (1000.0, "g"), "rad": (math.degrees(1.0), "°")}
+_DISPLAY_UNITS = {
+    "m": (1000.0, "mm"),
+    "kg": (1000.0, "g"),
+    "rad": (math.degrees(1.0), "°"),
+    "1": (100.0, "%"),
+}
 
 
 class Gene(NamedTuple):
@@ -39,7 +60,8 @@ class Gene(NamedTuple):
     unit: str
     lower: float
     upper: float
-    parameter: str  #: the name without the segment, used by design parameters
+    parameter: str  #: what the gene describes, of any segment; used by design parameters
+    circular: bool = False  #: whether both bounds mean the same
 
     @property
     def title(self) -> str:
@@ -48,7 +70,7 @@ class Gene(NamedTuple):
 
     @property
     def shown(self) -> tuple[float, str]:
-        """The factor that converts values to the unit for display, and this unit: mm, g or °."""
+        """The factor that converts values to the unit for display, and this unit: mm, g, ° or %."""
         return _DISPLAY_UNITS.get(self.unit, (1.0, self.unit))
 
 
@@ -63,25 +85,48 @@ class Encoding:
     physics: Physics = field(default_factory=Physics)
     gait_period_s: float = GAIT_PERIOD_S
     kind: GenomeKind = "shared"
+    timing: Timing = "on-off"
 
     def __post_init__(self) -> None:
         check_choice("genome", self.kind, GenomeKind)
+        check_choice("timing", self.timing, Timing)
+        if self.kind == "full" and self.timing == "wave":
+            raise CaterpillarError(
+                "timing = 'wave' has the same genes for all springs, but genome = 'full' has genes of "
+                "every spring; choose timing = 'phase' or genome = 'shared'"
+            )
         count_steps(self.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
 
     @cached_property
     def genes(self) -> tuple[Gene, ...]:
-        """The genes in order: morphology, then times, each from head to tail."""
+        """The genes in order: morphology, then gait, each from head to tail."""
         count = self.physics.num_segments
         prefixes = [f"segment{i + 1}_" for i in range(count)] if self.kind == "per-segment" else [""]
-        springs = spring_names(count) if self.kind == "full" else pair_names(count)
         body = [
             Gene(prefix + p.name, p.symbol, p.unit, p.lower, p.upper, p.name)
             for prefix in prefixes
             for p in PARAMETERS
         ]
-        edges = [(f"{spring}_{edge}_s", f"t_{edge}") for spring in springs for edge in ("on", "off")]
-        times = [Gene(name, symbol, "s", 0.0, self.gait_period_s, name) for name, symbol in edges]
-        return (*body, *times)
+        return (*body, *self._gait_genes())
+
+    def _gait_genes(self) -> list[Gene]:
+        if self.timing == "wave":
+            return [
+                _delay("lag", "lag"),
+                _duty("dorsal_duty"),
+                _delay("offset", "offset"),
+                _duty("ventral_duty"),
+            ]
+        count = self.physics.num_segments
+        genes = []
+        for name in spring_names(count) if self.kind == "full" else pair_names(count):
+            if self.timing == "phase":
+                genes += [_delay(f"{name}_delay", _after(name)), _duty(f"{name}_duty")]
+                continue
+            for edge in ("on", "off"):
+                gene = f"{name}_{edge}_s"
+                genes.append(Gene(gene, f"t_{edge}", "s", 0.0, self.gait_period_s, gene))
+        return genes
 
     def check(self, genomes: Array) -> Array:
         """Validate genomes (P, n), or a single one (n,). Returns an array of shape (P, n).
@@ -116,18 +161,67 @@ class Encoding:
         array = self.check(genomes)
         size = len(PARAMETERS)
         count = self.physics.num_segments if self.kind == "per-segment" else 1
-        # Convert to an action first, so that the environment reproduces the gait bit for bit.
-        action = (2.0 * array[:, size * count :] - 1.0).astype(np.float32)
-        timings = GaitTimings.from_action(action, self.gait_period_s)
         segments = array[:, : size * count].reshape(len(array), count, size)
         bodies = [tuple(Morphology.from_unit(segment) for segment in row) for row in segments]
+        timings = self._decode_gait(array[:, size * count :])
         return [body if self.kind == "per-segment" else body[0] for body in bodies], timings
+
+    def _decode_gait(self, genes: Array) -> GaitTimings:
+        period_s = self.gait_period_s
+        if self.timing == "on-off":
+            action = (2.0 * genes - 1.0).astype(np.float32)
+        else:
+            if self.timing == "wave":
+                genes = self._repeat_wave(genes)
+            timings = GaitTimings.from_phases(
+                genes[:, 0::2], MAX_DUTY * genes[:, 1::2], period_s, springs=self.kind == "full"
+            )
+            action = timings.to_action()
+        # From an action, so that the environment reproduces the gait bit for bit.
+        return GaitTimings.from_action(action, period_s)
+
+    def _repeat_wave(self, genes: Array) -> Array:
+        """Return the genes for the timing `phase`, (P, 2 pairs), from those for `wave`, (P, 4)."""
+        phases = np.tile(genes, self.physics.num_segments - 1)
+        phases[:, 0] = 0.0  # the first pair starts the period
+        return phases
+
+    def values(self, genomes: Array) -> Array:
+        """Return the values of all genes in SI units, (P, n). On and off times are those of the robots.
+
+        Raises:
+            CaterpillarError: see `check`.
+        """
+        lower, upper = np.array([(gene.lower, gene.upper) for gene in self.genes]).T
+        values: Array = lower + self.check(genomes) * (upper - lower)
+        if self.timing == "on-off":
+            _, timings = self.decode(genomes)
+            times = np.stack([timings.on_s, timings.off_s], axis=-1).reshape(len(values), -1)
+            values[:, -times.shape[1] :] = times
+        return values
 
     def robot(self, genome: Array, **record: Any) -> Robot:
         """Return the robot of a genome (n,). The keywords are its recorded results, see `Robot`."""
         (body,), timings = self.decode(np.asarray(genome)[None])
         gait = GaitTimings(timings.period_s, timings.on_s[0], timings.off_s[0])
         return Robot(body, gait, self.physics, **record)
+
+
+def _delay(name: str, parameter: str) -> Gene:
+    return Gene(name, "δ", "1", 0.0, 1.0, parameter, circular=True)
+
+
+def _duty(name: str) -> Gene:
+    return Gene(name, "D", "1", 0.0, MAX_DUTY, "duty")
+
+
+def _after(name: str) -> str:
+    """Return the parameter that the delay of a pair or spring belongs to."""
+    if name.endswith("_right"):
+        return "side"
+    if "ventral" in name:
+        return "offset"
+    return "start" if name.startswith("gap1_") else "lag"
 
 
 def gene_values(bodies: Sequence[Body], timings: GaitTimings) -> Array:

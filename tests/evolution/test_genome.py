@@ -192,3 +192,99 @@ def test_per_segment_genome_has_a_body_for_every_segment(num_segments, expected)
 def test_genome_of_another_kind_is_refused(kind, size):
     with pytest.raises(CaterpillarError, match=r"genomes must have shape"):
         Encoding(Physics(), PERIOD_S, kind).decode(np.zeros((1, size)))
+
+
+# Delays and duties
+
+
+def test_phase_genome_has_a_delay_and_a_duty_for_each_pair():
+    table = Encoding(timing="phase").genes
+    assert [g.name for g in table[8:12]] == [
+        "gap1_dorsal_delay", "gap1_dorsal_duty", "gap1_ventral_delay", "gap1_ventral_duty",
+    ]  # fmt: skip
+    assert [g.circular for g in table[8:12]] == [True, False, True, False]
+    assert [g.parameter for g in table[8:16:2]] == ["start", "offset", "lag", "offset"]
+    assert len(table) == 20
+
+
+def test_wave_genome_has_four_gait_genes_for_any_number_of_segments():
+    for segments in (2, 4, 16):
+        table = Encoding(Physics(segments), timing="wave").genes
+        names = [g.name for g in table[8:]]
+        assert names == ["lag", "dorsal_duty", "offset", "ventral_duty"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "timing", "count"),
+    [
+        ("shared", "phase", 20), ("shared", "wave", 12), ("full", "phase", 32),
+        ("per-segment", "phase", 44), ("per-segment", "wave", 36),
+    ],
+)  # fmt: skip
+def test_every_kind_of_body_goes_with_every_timing(kind, timing, count):
+    encoding = Encoding(kind=kind, timing=timing)
+    assert len(encoding.genes) == count
+    bodies, timings = encoding.decode(np.full((2, count), 0.4))
+    assert len(bodies) == 2
+    assert timings.on_s.shape == (2, 12 if kind == "full" else 6)
+
+
+def test_phases_add_up_along_the_body():
+    genome = np.full(20, 0.5)
+    genome[8:] = [0.1, 0.4, 0.5, 0.4, 0.7, 0.4, 0.2, 0.4, 0.6, 0.4, 0.9, 0.4]
+    _, timings = Encoding(timing="phase", gait_period_s=10.0).decode(genome)
+    # Dorsal: 0.1, 0.1 + 0.7, 0.8 + 0.6 = 1.4 -> 0.4. Ventral: 0.6, 1.0 -> 0.0, 1.3 -> 0.3.
+    assert timings.on_s[0] == pytest.approx([1, 6, 8, 0, 4, 3], abs=1e-5)
+    assert timings.off_s[0] == pytest.approx([4.8, 9.8, 1.8, 3.8, 7.8, 6.8], abs=1e-5)  # 0.4 * 0.95
+
+
+def test_wave_is_the_phase_genome_with_equal_delays_and_duties():
+    rng = np.random.default_rng(0)
+    body, (lag, dorsal, offset, ventral) = rng.random(8), rng.random(4)
+    wave = np.array([*body, lag, dorsal, offset, ventral])
+    gap = [lag, dorsal, offset, ventral]
+    phase = np.array([*body, 0.0, *gap[1:], *gap, *gap])
+    one, other = (
+        Encoding(timing=timing).decode(genome)[1]
+        for timing, genome in (("wave", wave), ("phase", phase))
+    )
+    np.testing.assert_array_equal(one.on_s, other.on_s)
+    np.testing.assert_array_equal(one.off_s, other.off_s)
+
+
+def test_right_springs_follow_left_ones_by_their_own_delay():
+    encoding = Encoding(Physics(2), kind="full", timing="phase", gait_period_s=10.0)
+    genome = np.full(16, 0.5)
+    genome[8::2] = [0.1, 0.2, 0.3, 0.0]  # dorsal left, dorsal right, ventral left, ventral right
+    _, timings = encoding.decode(genome)
+    assert timings.on_s[0] == pytest.approx([1, 3, 4, 4], abs=1e-5)
+
+
+def test_delays_of_zero_and_one_are_the_same_gait():
+    genomes = np.full((2, 12), 0.3)
+    genomes[:, 8] = 0.0, 1.0
+    _, timings = Encoding(timing="wave").decode(genomes)
+    np.testing.assert_allclose(timings.on_s[0], timings.on_s[1], atol=1e-6)
+
+
+def test_largest_duty_leaves_a_spring_on_for_most_of_the_period():
+    _, timings = Encoding(timing="wave").decode(np.ones(12))
+    powered = timings.power(0.01).mean(axis=-2)
+    assert powered == pytest.approx(0.95, abs=0.002)
+
+
+def test_environment_reproduces_a_wave_bit_for_bit():
+    _, timings = Encoding(timing="wave").decode(np.random.default_rng(1).random((4, 12)))
+    again = GaitTimings.from_action(timings.to_action(), timings.period_s)
+    np.testing.assert_array_equal(again.on_s, timings.on_s)
+    np.testing.assert_array_equal(again.off_s, timings.off_s)
+
+
+def test_values_are_in_the_units_of_the_genes():
+    encoding = Encoding(timing="wave")
+    (low, high), (lower, upper) = (
+        encoding.values(np.array([np.zeros(12), np.ones(12)])),
+        zip(*((gene.lower, gene.upper) for gene in encoding.genes), strict=True),
+    )
+    assert low.tolist() == list(lower)
+    assert high.tolist() == pytest.approx(list(upper))
