@@ -35,10 +35,7 @@ class CoDesign(BaseCallback):
         self, config: TrainConfig, robots: CaterpillarVecEnv, share_spent: Callable[[], float]
     ) -> None:
         super().__init__()
-        prior = RunConfig(
-            prior="preprocessed" if config.design == "preprocessed" else "uniform",
-            physics=config.physics,
-        )
+        prior = RunConfig(prior="body" if config.design == "body" else "uniform", physics=config.physics)
         self.optimizer = CmaEs(
             prior.distributions()[: len(NAMES)],
             CmaConfig(cma_population=POPULATION, cma_restarts=False),

@@ -21,7 +21,7 @@ from evolution.run.journal import Evaluation
 
 AlgorithmName = Literal["ppo", "a2c", "sac", "tqc", "ars"]
 Mode = Literal["timing", "switch"]
-Design = Literal["fixed", "uniform", "preprocessed"]
+Design = Literal["fixed", "uniform", "body"]
 ENVIRONMENTS: dict[str, str] = {"timing": "CaterpillarSMA-v0", "switch": "CaterpillarSMASwitch-v0"}
 POPULATION = 8  #: number of bodies that CMA-ES proposes per generation
 ROBOTS_PER_BODY = 2  #: number of robots that crawl in each of these bodies

@@ -13,15 +13,16 @@ from pathlib import Path
 
 from caterpillar_env.robot import Robot
 from caterpillar_env.validation.robots import FILE
-from evolution.config import OptimizerName, Prior, RunConfig
+from evolution.config import OptimizerName, RunConfig
 from evolution.optimizers.ga import GaConfig
+from evolution.priors import Prior
 from evolution.run.evaluators import LocalEvaluator
 from evolution.run.loop import evolve, resume
 
 SEEDS = 8  #: number of runs for each optimizer and prior
 BUDGET_S = 4000.0  #: simulated seconds of a run
 _OPTIMIZERS: tuple[OptimizerName, ...] = ("ga", "cma-es")
-_PRIORS: tuple[Prior, ...] = ("preprocessed", "uniform")
+_PRIORS: tuple[Prior, ...] = ("body", "uniform")
 #: Configuration of the run behind each evolved robot.
 RUNS: tuple[RunConfig, ...] = tuple(
     RunConfig(

@@ -28,6 +28,7 @@ from caterpillar_env.errors import CaterpillarError
 
 #: Number of temperatures at which each branch is tabulated.
 _NODES = 1025
+_PERIODS = 11  #: periods after which temperatures repeat
 
 
 @dataclass(frozen=True)
@@ -240,6 +241,18 @@ def advance(
     unpowered = flows[:, 0] + flows[:, 1] + inflow
     used = (path[1:, 0] - unpowered) * (1.0 / gain if gain > 0 else 0.0)
     return SmaStep(SmaState(*path[-1]), path[1:, 1], path[1:, 0], used)
+
+
+def settle(spring: SmaSpring, power: Array, step_s: float) -> SmaStep:
+    """Repeat a period until the temperatures repeat, and return its last repetition.
+
+    For the arguments, see `advance`; `power` is that of one period.
+    """
+    state = SmaState.cold(spring, power.shape[1:])
+    for _ in range(_PERIODS):
+        step = advance(spring, state, power, step_s)
+        state = step.state
+    return step
 
 
 def spring_force(spring: SmaSpring, length_m: Array, fraction: Array) -> Array:

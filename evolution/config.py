@@ -10,17 +10,27 @@ import numpy as np
 from caterpillar_env.errors import CaterpillarError, check_choice, from_mapping
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.physics import Physics
-from evolution.genome import Encoding, GenomeKind
+from caterpillar_env.task import EPISODE_S
+from evolution.genome import Encoding, GenomeKind, Timing
 from evolution.optimizers.base import Optimizer
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
 from evolution.optimizers.random_search import RandomSearch, Sampling
+from evolution.priors import Control, Prior, make_priors
 from evolution.priors.distributions import Clipping, Distribution, Uniform
-from evolution.priors.preprocessor import check_floor_ratio, paper_priors
+from evolution.priors.preprocessor import Contradictions, GenePrior, check_floor_ratio
 from evolution.run.objective import ObjectiveName
 
 OptimizerName = Literal["ga", "cma-es", "random"]
-Prior = Literal["preprocessed", "uniform", "init-only", "mutation-only", "mirrored"]
+PriorUse = Literal["both", "init", "mutation"]
+
+#: Former names of priors, in journals and studies of earlier versions.
+_FORMER_PRIORS = {
+    "preprocessed": {"prior": "body"},
+    "init-only": {"prior": "body", "prior_use": "init"},
+    "mutation-only": {"prior": "body", "prior_use": "mutation"},
+    "mirrored": {"prior": "body", "prior_control": "mirrored"},
+}
 
 
 @dataclass(frozen=True)
@@ -37,11 +47,17 @@ class RunConfig:
     target_m: float | None = None  #: distance in m; stop once a robot reaches it without failing
     optimizer: OptimizerName = "ga"  #: ga: the paper's genetic algorithm; random: random search
     genome: GenomeKind = "shared"  #: full: timings per spring; per-segment: a body per segment
-    prior: Prior = "preprocessed"  #: distributions of genes; init-only and mutation-only need the GA
+    timing: Timing = "on-off"  #: gait genes: times, as in the paper; delay and duty; or one wave
+    prior: Prior = "body"  #: genes with a distribution from the preprocessor; body: as in the paper
+    prior_use: PriorUse = "both"  #: uses of the prior in the GA: first generation (init), mutation
+    prior_control: Control = "none"  #: make the prior misleading, for comparison
+    contradictions: Contradictions = "uniform"  #: prior of a gene on which two K_i disagree
     floor_ratio: float = 3.0  #: ratio of the maximum to the minimum density of a preprocessed gene
     clipping: Clipping = "truncated"  #: how a Gaussian is limited to the bounds of its gene
     objective: ObjectiveName = "distance"  #: quantity to maximize: m, or m per J of electrical energy
     failed_fitness: float = 0.0  #: fitness of a robot that fails, in the unit of the objective
+    race_share: float = 1.0  #: share of a generation to simulate to the end; 1: all, no racing
+    race_periods: int = 2  #: gait periods after which racing stops the other robots
     gait_period_s: float = GAIT_PERIOD_S  #: period of the gait, a multiple of 0.1 s
     sampling: Sampling = "independent"  #: draws of random search: independent, or evenly spread (sobol)
     ga: GaConfig = field(default_factory=GaConfig)
@@ -61,15 +77,22 @@ class RunConfig:
         for name, kind in get_type_hints(RunConfig).items():
             if get_origin(kind) is Literal:
                 check_choice(name, getattr(self, name), kind)
-        if self.optimizer != "ga" and self.prior in ("init-only", "mutation-only"):
+        if self.optimizer != "ga" and self.prior_use != "both":
             raise CaterpillarError(
-                f"prior = {self.prior!r} needs the genetic algorithm; with "
-                f"{self.optimizer} choose preprocessed, uniform or mirrored"
+                f"prior_use = {self.prior_use!r} needs the genetic algorithm; with {self.optimizer}, "
+                "leave it at 'both'"
             )
         if not np.isfinite(self.failed_fitness):
             raise CaterpillarError(f"failed_fitness = {self.failed_fitness} must be a finite number")
         check_floor_ratio(self.floor_ratio)
-        Encoding(self.physics, self.gait_period_s, self.genome)  # checks the gait period
+        if not 0 < self.race_share <= 1:
+            raise CaterpillarError(f"race_share = {self.race_share} must lie in (0, 1]")
+        if self.race_share < 1 and not 0 < self.race_periods * self.gait_period_s < EPISODE_S:
+            raise CaterpillarError(
+                f"race_periods = {self.race_periods} of {self.gait_period_s:g} s must end before an "
+                f"episode does, after {EPISODE_S:g} s"
+            )
+        _ = self.encoding  # checks the genome and the gait period
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> RunConfig:
@@ -78,6 +101,8 @@ class RunConfig:
         Raises:
             CaterpillarError: a field is unknown or invalid.
         """
+        if data.get("prior") in _FORMER_PRIORS:
+            data = data | _FORMER_PRIORS[data["prior"]]
         kinds = {"ga": GaConfig, "cma": CmaConfig, "physics": Physics}
         made = {
             name: from_mapping(kinds[name], value, name) if name in kinds else value
@@ -89,18 +114,22 @@ class RunConfig:
         """Return the configuration as plain data for JSON."""
         return asdict(self)
 
+    def priors(self) -> list[GenePrior]:
+        """Return the result of the preprocessor for each gene."""
+        return make_priors(
+            self.encoding, self.prior, floor_ratio=self.floor_ratio, clipping=self.clipping,
+            contradictions=self.contradictions, control=self.prior_control, seed=self.seed,
+        )  # fmt: skip
+
     def distributions(self, use: Literal["init", "mutation"] = "init") -> list[Distribution]:
         """Return the distribution of each gene, for initialization or for mutation."""
-        rows = paper_priors(
-            self.encoding, self.floor_ratio, self.clipping, mirrored=self.prior == "mirrored"
-        )
-        informed = self.prior in ("preprocessed", "mirrored", f"{use}-only")
-        return [row.distribution if informed else Uniform() for row in rows]
+        informed = self.prior_use in ("both", use)
+        return [row.distribution if informed else Uniform() for row in self.priors()]
 
     @property
     def encoding(self) -> Encoding:
         """The mapping from genomes to robots."""
-        return Encoding(self.physics, self.gait_period_s, self.genome)
+        return Encoding(self.physics, self.gait_period_s, self.genome, self.timing)
 
     def make_optimizer(self) -> Optimizer:
         """Return the optimizer in its initial state."""
@@ -109,7 +138,8 @@ class RunConfig:
         if self.optimizer == "ga":
             return GeneticAlgorithm(first, self.distributions("mutation"), self.ga, rng)
         if self.optimizer == "cma-es":
-            return CmaEs(first, self.cma, rng)
+            circular = [gene.circular for gene in self.encoding.genes]
+            return CmaEs(first, self.cma, rng, circular)
         return RandomSearch(first, self.ga.population, self.sampling, rng)
 
     def evaluations(self) -> int:

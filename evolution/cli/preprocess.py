@@ -14,27 +14,37 @@ from caterpillar_env.files import writing
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.physics import Physics
 from evolution import cli
-from evolution.genome import Encoding, GenomeKind
+from evolution.genome import Encoding, GenomeKind, Timing
+from evolution.priors import Control, Prior, make_priors, searches
 from evolution.priors.distributions import Clipping
-from evolution.priors.preprocessor import GenePrior, design_parameters, paper_priors
+from evolution.priors.preprocessor import Contradictions, GenePrior, Search
 
 
 @dataclass(frozen=True)
 class PreprocessArgs:
-    """Print Table I of the paper: the mutation distribution of each gene. Plot the densities."""
+    """Print the distribution of each gene and the search for the best nodes, and plot them.
+
+    The default is Table I of the paper. `--timing wave --prior body+gait` adds the gait.
+    """
 
     json: bool = False
-    """Print JSON instead of a table, with values in SI units."""
+    """Print JSON instead of tables, with values in SI units."""
     out: Path = Path("preprocess.png")
-    """File for the plot of the densities: .png, .svg or .pdf."""
+    """File for the plot of the densities: .png, .svg or .pdf. That of the gait's K_i is beside it."""
     genome: GenomeKind = "shared"
     """Kind of genome. full: separate times for every spring; per-segment: a body for every segment."""
+    timing: Timing = "on-off"
+    """Gait genes. on-off: times, as in the paper; phase: delays and duties; wave: one wave."""
+    prior: Prior = "body"
+    """Genes with a distribution from the preprocessor. body: as in the paper."""
+    control: Control = "none"
+    """Make the prior misleading: put every peak at the wrong end, or shuffle the distributions."""
+    contradictions: Contradictions = "uniform"
+    """Distribution of genes on which two K_i disagree. product: the peak of the product of the K_i."""
     floor_ratio: float = 3.0
     """Ratio of the largest to the smallest density of a preprocessed gene; 3 in the paper."""
     clipping: Clipping = "truncated"
     """How a Gaussian is limited to the bounds of its gene."""
-    mirrored: bool = False
-    """Put every peak at the opposite bound, which gives a deliberately misleading prior."""
     gait_period_s: float = GAIT_PERIOD_S
     """Gait period in s, a multiple of 0.1. It is the upper bound of the on and off times."""
     num_segments: int = 4
@@ -42,25 +52,40 @@ class PreprocessArgs:
 
 
 def preprocess_command(argv: Sequence[str]) -> int:
-    """Show the mutation distribution that the preprocessor gives to each gene."""
+    """Show the distribution that the preprocessor gives to each gene."""
     from evolution.report import figures
 
     args = cli.parse(PreprocessArgs, argv, "preprocess")
-    encoding = Encoding(Physics(num_segments=args.num_segments), args.gait_period_s, args.genome)
-    priors = paper_priors(encoding, args.floor_ratio, args.clipping, mirrored=args.mirrored)
+    physics = Physics(num_segments=args.num_segments)
+    encoding = Encoding(physics, args.gait_period_s, args.genome, args.timing)
+    priors = make_priors(
+        encoding,
+        args.prior,
+        floor_ratio=args.floor_ratio,
+        clipping=args.clipping,
+        contradictions=args.contradictions,
+        control=args.control,
+    )
+    found = searches(encoding, args.prior)
     if args.json:
         print(json.dumps([prior.to_dict() for prior in priors], indent=2))
     else:
-        names = [parameter.name for parameter in design_parameters(encoding.physics)]
-        cli.print_table(_make_table(priors, names), width=160)
-    with writing(args.out):
-        figures.save(figures.densities(priors), args.out)
-    print(f"densities plotted in {args.out}", file=sys.stderr)
+        cli.print_table(_make_table(priors, found), width=160)
+        if found:
+            cli.print_table(_make_search_table(found), width=160)
+    drawings = {args.out: figures.densities(priors)}
+    if "gait" in args.prior:
+        drawings[args.out.with_stem(f"{args.out.stem}-gait")] = figures.gait_search(found)
+    for path, figure in drawings.items():
+        with writing(path):
+            figures.save(figure, path)
+    print(f"plotted in {' and '.join(map(str, drawings))}", file=sys.stderr)
     return 0
 
 
-def _make_table(priors: Sequence[GenePrior], names: Sequence[str]) -> Table:
-    title = "Mutation distributions (Saunders 2009, Table I)"
+def _make_table(priors: Sequence[GenePrior], found: Sequence[Search]) -> Table:
+    names = [search.parameter.name for search in found]
+    title = "Distributions of the genes (Saunders 2009, Table I)"
     table = Table("gene", "range", *names, "mu", "sigma", "reason", title=title, title_justify="left")
     for prior in priors:
         factor, unit = prior.gene.shown
@@ -72,9 +97,23 @@ def _make_table(priors: Sequence[GenePrior], names: Sequence[str]) -> Table:
         table.add_row(
             prior.gene.title,
             f"{factor * prior.gene.lower:.4g} to {factor * prior.gene.upper:.4g} {unit}",
-            *({1: "+", -1: "-", 0: ""}[signs.get(name, 0)] for name in names),
+            *({1: "+", -1: "-", 0: "o"}[signs[name]] if name in signs else "" for name in names),
             mu or "uniform",
             sigma,
             prior.reason,
         )
+    return table
+
+
+def _make_search_table(found: Sequence[Search]) -> Table:
+    table = Table("K_i", "source", "best node", "K_i there", "least on the grid", title_justify="left")
+    table.title = "Search for the maximum of each K_i"
+    for search in found:
+        k, places = search.parameter, []
+        for gene, nodes, node in zip(search.genes, search.nodes, search.best, strict=True):
+            factor, unit = gene.shown
+            name = gene.parameter.removesuffix(f"_{gene.unit}").replace("_", " ")
+            places.append(f"{name} {factor * nodes[node]:.3g} {unit}")
+        best, least = search.values[search.best], search.values.min()
+        table.add_row(k.name, k.source, ", ".join(places), f"{best:.3g} {k.unit}", f"{least:.3g}")
     return table

@@ -11,7 +11,7 @@ import numpy as np
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from evolution.optimizers.base import GenerationalOptimizer
-from evolution.priors.distributions import ClippedGaussian, Distribution
+from evolution.priors.distributions import Distribution, Gaussian
 
 if TYPE_CHECKING:
     import cma
@@ -43,52 +43,62 @@ class CmaEs(GenerationalOptimizer):
 
     The search starts at the peak of each gene's distribution, with its width as the step size. Genes
     with a uniform distribution start at 0.5. Restarts begin at a random draw from the distributions.
-    pycma transforms the genes so that every genome lies within the bounds.
+    pycma transforms the genes so that every genome lies within the bounds. Circular genes have no
+    bounds: they pass from 1 to 0.
 
     Args:
         distributions: distribution of each gene.
         config: settings of CMA-ES.
         rng: the only source of randomness.
+        circular: whether each gene is circular; by default, none is.
     """
 
     def __init__(
-        self, distributions: Sequence[Distribution], config: CmaConfig, rng: np.random.Generator
+        self,
+        distributions: Sequence[Distribution],
+        config: CmaConfig,
+        rng: np.random.Generator,
+        circular: Sequence[bool] | None = None,
     ) -> None:
         super().__init__()
+        self._circular = np.array(circular or [False] * len(distributions))
+        self._points: list[Array] = []  # the last genomes before circular genes were wrapped
         self._distributions = list(distributions)
         self._config = config
         self._rng = rng
-        peaks = [d.mu if isinstance(d, ClippedGaussian) else 0.5 for d in self._distributions]
+        peaks = [d.mu if isinstance(d, Gaussian) else 0.5 for d in self._distributions]
         self._strategy = self._make_strategy(np.array(peaks), config.cma_population)
         self._is_flat = False  # whether the last generation had a single fitness value
 
     @property
     def centre(self) -> Array:
         """The mean of the search distribution, (n,)."""
-        centre: Array = np.clip(np.array(self._strategy.result.xfavorite), 0.0, 1.0)
-        return centre
+        return self._wrap(np.array(self._strategy.result.xfavorite))
 
     def _propose(self) -> Array:
         # Equal fitness, for example if every robot fails, does not mean convergence.
         if self._config.cma_restarts and not self._is_flat and self._strategy.stop():
             start = np.array([d.sample(self._rng, 1)[0] for d in self._distributions])
             self._strategy = self._make_strategy(start, 2 * self._strategy.popsize)
-        genomes: Array = np.clip(np.array(self._strategy.ask()), 0.0, 1.0)
-        return genomes
+        self._points = self._strategy.ask()
+        return self._wrap(np.array(self._points))
 
     def _learn(self, genomes: Array, fitness: Array) -> None:
-        self._strategy.tell(list(genomes), (-fitness).tolist())  # pycma minimizes
+        self._strategy.tell(self._points, (-fitness).tolist())  # pycma minimizes
         self._is_flat = bool(np.ptp(fitness) == 0)
+
+    def _wrap(self, points: Array) -> Array:
+        """Return genomes, in [0, 1], from points of the search."""
+        wrapped: Array = np.where(self._circular, points % 1.0, np.clip(points, 0.0, 1.0))
+        return wrapped
 
     def _make_strategy(self, start: Array, population: int | None) -> cma.CMAEvolutionStrategy:
         import cma  # slow to import, because it imports Matplotlib
 
         sigma = self._config.cma_sigma
-        widths = [
-            min(d.sigma, sigma) if isinstance(d, ClippedGaussian) else sigma for d in self._distributions
-        ]
+        widths = [min(d.sigma, sigma) if isinstance(d, Gaussian) else sigma for d in self._distributions]
         options = {
-            "bounds": [0.0, 1.0],
+            "bounds": [[None if c else bound for c in self._circular] for bound in (0.0, 1.0)],
             "CMA_stds": [width / sigma for width in widths],
             "randn": lambda *shape: self._rng.standard_normal(shape),
             "seed": np.nan,  # keeps pycma from seeding NumPy's global generator
@@ -99,4 +109,5 @@ class CmaEs(GenerationalOptimizer):
         if population is not None:
             options["popsize"] = population
         # The transformation has no inverse at the bounds.
-        return cma.CMAEvolutionStrategy(np.clip(start, 0.05, 0.95), sigma, options)
+        start = np.where(self._circular, start, np.clip(start, 0.05, 0.95))
+        return cma.CMAEvolutionStrategy(start, sigma, options)

@@ -1,1 +1,115 @@
-"""Prior distributions of genes: uniform, or from the paper's preprocessor."""
+"""Prior distributions of genes: uniform, or from the preprocessor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from evolution.genome import Encoding
+from evolution.priors.body import body_parameters
+from evolution.priors.distributions import (
+    ClippedGaussian,
+    Clipping,
+    Gaussian,
+    Uniform,
+    WrappedGaussian,
+)
+from evolution.priors.gait import gait_parameters
+from evolution.priors.preprocessor import (
+    Contradictions,
+    DesignParameter,
+    GenePrior,
+    Search,
+    preprocess,
+    search_all,
+)
+
+Prior = Literal["uniform", "body", "gait", "body+gait"]
+Control = Literal["none", "mirrored", "shuffled"]
+
+_SHUFFLE = 0x5F  # separates the random numbers of the shuffle from those of the optimizer
+
+
+def design_parameters(encoding: Encoding, prior: Prior) -> tuple[DesignParameter, ...]:
+    """Return the K_i of a prior."""
+    body = body_parameters(encoding.physics) if "body" in prior else ()
+    gait = gait_parameters(encoding.physics, encoding.gait_period_s) if "gait" in prior else ()
+    return (*body, *gait)
+
+
+def searches(encoding: Encoding, prior: Prior) -> list[Search]:
+    """Return the search for the maximum of each K_i of a prior."""
+    wave = replace(encoding, kind="shared", timing="wave")
+    return search_all(design_parameters(encoding, prior), wave.genes)
+
+
+def make_priors(
+    encoding: Encoding,
+    prior: Prior = "body",
+    *,
+    floor_ratio: float = 3.0,
+    clipping: Clipping = "truncated",
+    contradictions: Contradictions = "uniform",
+    control: Control = "none",
+    seed: int = 0,
+) -> list[GenePrior]:
+    """Return the distribution of each gene. With the prior "body", this is the paper's Table I.
+
+    The prior of the gait describes delays and duties. With on and off times, it describes the times of
+    the best wave that begins with the first dorsal pair.
+
+    Args:
+        encoding: the genes, and the physics that the K_i depend on.
+        prior: the K_i to use: those of the body, of the gait, of both, or none.
+        floor_ratio: maximum over minimum density of a Gaussian, before clamping.
+        clipping: interpretation of the paper's "clipped Gaussian".
+        contradictions: what to do with genes on which two K_i disagree.
+        control: "mirrored" or "shuffled" gives a misleading prior of the same strength.
+        seed: seed of the shuffle.
+
+    Raises:
+        CaterpillarError: see `preprocess`.
+    """
+    wave = replace(encoding, kind="shared", timing="wave")
+    parameters = design_parameters(encoding, prior)
+    found = preprocess(parameters, wave.genes, floor_ratio, contradictions)
+    known = {row.gene.parameter: row for row in found}
+    if "gait" in prior and encoding.timing == "on-off":
+        known |= _time_priors(encoding, known)
+    genes = encoding.genes
+    free = GenePrior(genes[0], Uniform(), (), "in no design parameter")
+    rows = [replace(known.get(gene.parameter, free), gene=gene) for gene in genes]
+    shapes = [row.distribution for row in rows]
+    if control == "mirrored":
+        shapes = [d.reversed() if isinstance(d, Gaussian) else d for d in shapes]
+    elif control == "shuffled":
+        order = np.random.default_rng([seed, _SHUFFLE]).permutation(len(shapes))
+        shapes = [shapes[i] for i in order]
+    shapes = [replace(d, clipping=clipping) if isinstance(d, ClippedGaussian) else d for d in shapes]
+    return [replace(row, distribution=d) for row, d in zip(rows, shapes, strict=True)]
+
+
+def _time_priors(encoding: Encoding, known: dict[str, GenePrior]) -> dict[str, GenePrior]:
+    """Return priors of the on and off times, by gene, from those of lag, offset and duty."""
+    shapes = [known[name].distribution for name in ("lag", "offset", "duty")]
+    peaks = [d for d in shapes if isinstance(d, Gaussian)]
+    if len(peaks) < len(shapes):
+        return {}  # a contradiction leaves no best wave
+    lag, offset, duty = (d.mu for d in peaks)
+    wave = replace(encoding, kind="shared", timing="wave")
+    body = [0.5] * (len(wave.genes) - 4)
+    _, timings = wave.decode(np.array([*body, lag, duty, offset, duty]))
+    if encoding.kind == "full":
+        timings = timings.mirrored()
+    times = np.stack([timings.on_s[0], timings.off_s[0]], axis=-1).ravel()
+    row = replace(known["lag"], reason="best wave")
+    return {
+        gene.name: replace(row, distribution=WrappedGaussian(place, peaks[0].sigma))
+        for gene, place in zip(
+            [gene for gene in encoding.genes if gene.unit == "s"],
+            (times / timings.period_s % 1.0).tolist(),
+            strict=True,
+        )
+    }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -44,18 +44,36 @@ class Uniform(Distribution):
 
 
 @dataclass(frozen=True)
-class ClippedGaussian(Distribution):
-    """A Gaussian that is clipped to [0, 1] (Saunders 2009, section II).
+class Gaussian(Distribution):
+    """A distribution with a peak.
 
     Args:
         mu: position of the peak, in [0, 1].
-        sigma: standard deviation before clipping.
-        clipping: "truncated" cuts the tails off and renormalizes the rest; "clamped" moves values
-            beyond 0 and 1 to the bound.
+        sigma: standard deviation on an unlimited range.
     """
 
     mu: float
     sigma: float
+
+    @property
+    def kind(self) -> str:
+        """Name of the distribution."""
+        raise NotImplementedError
+
+    def reversed(self) -> Gaussian:
+        """Return the distribution with its peak at the wrong end of the gene."""
+        return replace(self, mu=1.0 - self.mu)
+
+
+@dataclass(frozen=True)
+class ClippedGaussian(Gaussian):
+    """A Gaussian that is clipped to [0, 1] (Saunders 2009, section II).
+
+    Args:
+        clipping: "truncated" cuts the tails off and renormalizes the rest; "clamped" moves values
+            beyond 0 and 1 to the bound.
+    """
+
     clipping: Clipping = "truncated"
 
     @classmethod
@@ -66,6 +84,11 @@ class ClippedGaussian(Distribution):
         the distance from mu to the farther bound.
         """
         return cls(mu, max(mu, 1.0 - mu) / math.sqrt(2.0 * math.log(ratio)))
+
+    @property
+    def kind(self) -> str:
+        """See `Gaussian.kind`."""
+        return f"{self.clipping}_gaussian"
 
     def quantile(self, share: Array) -> Array:
         """See `Distribution.quantile`."""
@@ -85,3 +108,31 @@ class ClippedGaussian(Distribution):
         if self.clipping == "clamped":
             return 0.0, 1.0
         return ndtr(-self.mu / self.sigma), ndtr((1.0 - self.mu) / self.sigma)
+
+
+@dataclass(frozen=True)
+class WrappedGaussian(Gaussian):
+    """A Gaussian on a circle, for genes whose bounds mean the same. It is cut opposite to its peak."""
+
+    @classmethod
+    def with_floor(cls, mu: float, ratio: float = 3.0) -> WrappedGaussian:
+        """Return a Gaussian whose minimum density is 1 / `ratio` times its maximum."""
+        return cls(mu, ClippedGaussian.with_floor(0.5, ratio).sigma)
+
+    @property
+    def kind(self) -> str:
+        """See `Gaussian.kind`."""
+        return "wrapped_gaussian"
+
+    def reversed(self) -> Gaussian:
+        """Return the distribution with its peak on the other side of the circle."""
+        return replace(self, mu=(self.mu + 0.5) % 1.0)
+
+    def quantile(self, share: Array) -> Array:
+        """See `Distribution.quantile`. Shares count from the point opposite to the peak."""
+        return (ClippedGaussian(0.5, self.sigma).quantile(share) + self.mu - 0.5) % 1.0
+
+    def density(self, x: Array) -> Array:
+        """See `Distribution.density`."""
+        centred = ClippedGaussian(0.5, self.sigma).density((x - self.mu + 0.5) % 1.0)
+        return np.where((x >= 0) & (x <= 1), centred, 0.0)

@@ -14,8 +14,8 @@ from matplotlib.ticker import MaxNLocator
 
 from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.robot import Robot
-from caterpillar_env.sma import SmaState, advance
-from evolution.priors.preprocessor import GenePrior
+from caterpillar_env.sma import settle
+from evolution.priors.preprocessor import GenePrior, Search
 from evolution.run.history import Generation
 
 _DPI = 120
@@ -76,10 +76,7 @@ def gait(robot: Robot) -> Figure:
     """Plot power and austenite fraction of each pair or spring over a period of the limit cycle."""
     spring, timings = robot.physics.spring, robot.timings
     power = timings.power(SMA_STEP_S)  # (steps, pairs or springs)
-    state = SmaState.cold(spring, power.shape[1:])
-    for _ in range(10):  # periods, until the temperature repeats
-        before, state = state, advance(spring, state, power, SMA_STEP_S).state
-    step = advance(spring, before, power, SMA_STEP_S)
+    step = settle(spring, power, SMA_STEP_S)
     names = robot.timed
     seconds = np.arange(1, len(power) + 1) * SMA_STEP_S
     figure = Figure(figsize=(_WIDTH_IN, 0.8 * len(names) + 1), layout="constrained")
@@ -99,6 +96,33 @@ def gait(robot: Robot) -> Figure:
     title = "One gait period" + (" (left = right)" if mirrored else "")
     axes[0].set_title(title, loc="left", fontsize="medium")
     axes[-1].set_xlabel("time in the period (s)")
+    return figure
+
+
+def gait_search(found: Sequence[Search]) -> Figure:
+    """Plot stroke over duty, and advance over lag and offset at the best duty. Dots: best nodes."""
+    stroke, advance = (s for s in found if s.parameter.name in ("stroke", "advance"))
+    figure = Figure(figsize=(2 * _WIDTH_IN, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    (duty,) = stroke.nodes
+    left.plot(100 * duty, stroke.values, marker=".")
+    left.plot(100 * duty[stroke.best], stroke.values[stroke.best], "o", color="tab:red")
+    left.set(xlabel="duty (% of the period)", ylabel="stroke (swing of the austenite fraction)")
+    left.set_title("K_4, stroke", loc="left", fontsize="medium")
+    left.grid(alpha=0.3)
+    lag, offset, duty = advance.nodes
+    best_lag, best_offset, best_duty = advance.best
+    values = 1000 * advance.values[:, :, best_duty].T
+    top = np.abs(values).max()
+    image = right.pcolormesh(100 * lag, 100 * offset, values, cmap="RdBu", vmin=-top, vmax=top)
+    right.plot(100 * lag[best_lag], 100 * offset[best_offset], "o", color="black")
+    right.set(
+        xlabel="lag of a gap after the gap ahead (% of the period)",
+        ylabel="offset of ventral after dorsal pairs (%)",
+    )
+    title = f"K_5, advance at a duty of {100 * duty[best_duty]:.0f} %"
+    right.set_title(title, loc="left", fontsize="medium")
+    figure.colorbar(image, ax=right, label="mm per period")
     return figure
 
 

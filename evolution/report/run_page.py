@@ -18,17 +18,16 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import EPISODE_S, Failure
 from caterpillar_env.validation.gaits import measure_gait
 from evolution.config import RunConfig
-from evolution.genome import gene_values
-from evolution.priors.distributions import ClippedGaussian
+from evolution.priors.distributions import Gaussian
 from evolution.report import figures as draw
 from evolution.report.page import data_url, render
-from evolution.run.history import History
+from evolution.run.history import History, to_outcomes
 
 PAGE = "report.html"
 
 
 class GeneRow(NamedTuple):
-    """A gene of the best robot with its bounds and its prior, in mm, g, ° or s."""
+    """A gene of the best robot with its bounds and its prior, in mm, g, °, s or %."""
 
     title: str
     unit: str
@@ -100,6 +99,7 @@ def page(history: History, figures: Mapping[str, str]) -> str:
         incomplete=len(evaluations) - (generations[-1].evaluations if generations else 0),
         evaluations=len(evaluations),
         failed=len(evaluations) - reasons["ok"],
+        stopped=int(to_outcomes(evaluations).stopped.sum()),
         failures=[(f.label, reasons[f.label]) for f in Failure if reasons[f.label]],
         simulated_s=sum(e.simulated_s for e in evaluations),
         sessions=[(session, per_session[session.number]) for session in sessions],
@@ -114,16 +114,16 @@ def page(history: History, figures: Mapping[str, str]) -> str:
 
 def gene_rows(history: History) -> list[GeneRow]:
     """Return the genes of the best robot, or an empty list if there is none."""
-    best, config = history.best_robot, history.config
+    best, config = history.best, history.config
     if best is None:
         return []
-    distributions = config.distributions("mutation" if config.prior == "mutation-only" else "init")
-    (values,) = gene_values([best.morphology], best.gaits).tolist()
+    (values,) = config.encoding.values(best.genome).tolist()
     rows = []
-    for gene, prior, value in zip(config.encoding.genes, distributions, values, strict=True):
+    for row, value in zip(config.priors(), values, strict=True):
+        gene, prior = row.gene, row.distribution
         factor, unit = gene.shown
         peak = width = None
-        if isinstance(prior, ClippedGaussian):
+        if isinstance(prior, Gaussian):
             span = gene.upper - gene.lower
             peak, width = factor * (gene.lower + prior.mu * span), factor * prior.sigma * span
         bounds = factor * gene.lower, factor * gene.upper

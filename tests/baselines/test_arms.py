@@ -140,6 +140,6 @@ def test_preset_covers_all_algorithms_and_designs():
     arms = preset("rl-pilot").arms
     trainings = {name: arm.config for name, arm in arms.items() if isinstance(arm, TrainArm)}
     assert {c.algorithm for c in trainings.values()} == {"ppo", "a2c", "sac", "tqc", "ars"}
-    assert {c.design for c in trainings.values()} == {"fixed", "uniform", "preprocessed"}
+    assert {c.design for c in trainings.values()} == {"fixed", "uniform", "body"}
     assert trainings["ppo-bandit"] == replace(trainings["ppo-timing"], open_loop=True)
     assert {"ga-uniform", "ga-preprocessed", "cma-es-uniform"} <= set(arms)

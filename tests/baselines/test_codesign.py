@@ -109,11 +109,11 @@ def test_prior_sets_the_start_of_the_search():
     robots = CaterpillarVecEnv("CaterpillarSMA-v0", POPULATION, threads=1)
     first = {
         design: CoDesign(TrainConfig(mode="timing", design=design), robots, lambda: 0.0).mean_body
-        for design in ("uniform", "preprocessed")
+        for design in ("uniform", "body")
     }
     np.testing.assert_allclose(first["uniform"].to_unit(), 0.5)
-    assert first["preprocessed"] != first["uniform"]
-    assert isinstance(first["preprocessed"], Morphology)
+    assert first["body"] != first["uniform"]
+    assert isinstance(first["body"], Morphology)
 
 
 def test_rollout_length_must_equal_the_episode_length():

@@ -15,7 +15,7 @@ from caterpillar_env.morphology import Morphology
     [
         ({"algorithm": "dqn"}, "algorithm = 'dqn' must be one of ppo"),
         ({"mode": "hope"}, "mode = 'hope' must be one of timing, switch"),
-        ({"design": "x"}, "design = 'x' must be one of fixed, uniform, preprocessed"),
+        ({"design": "x"}, "design = 'x' must be one of fixed, uniform, body"),
         ({"algorithm": "sac"}, "sac does not support mode 'switch'; it supports timing"),
         ({"budget_s": 0}, "budget_s = 0 must be at least 30, the length of one episode"),
         ({"evaluations": 0}, "evaluations = 0"),

@@ -190,7 +190,7 @@ def test_neighbouring_seeds_share_neither_conditions_nor_weights(tmp_path, frict
     [
         ("ppo", "timing", {}),
         ("ppo", "timing", {"open_loop": True}),
-        ("ppo", "timing", {"design": "preprocessed"}),
+        ("ppo", "timing", {"design": "body"}),
         ("ppo", "switch", {"design": "uniform"}),
         ("sac", "timing", {}),
         ("tqc", "timing", {}),

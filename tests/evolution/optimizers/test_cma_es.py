@@ -3,7 +3,7 @@ import pytest
 
 from caterpillar_env.errors import CaterpillarError
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
-from evolution.priors.distributions import ClippedGaussian, Uniform
+from evolution.priors.distributions import ClippedGaussian, Uniform, WrappedGaussian
 
 GENES = [Uniform(), ClippedGaussian(0.8, 0.1), ClippedGaussian(0.0, 0.67)]
 
@@ -70,3 +70,17 @@ def test_answers_to_other_questions_are_refused():
         optimizer.tell(genomes[::-1], np.zeros(len(genomes)))
     with pytest.raises(CaterpillarError, match="finite"):
         optimizer.tell(genomes, np.full(len(genomes), np.nan))
+
+
+def test_circular_genes_pass_from_one_to_zero():
+    # The optimum at 0.95 is nearer to the start at 0.1 across the bound than through the range.
+    genes = [WrappedGaussian.with_floor(0.1), ClippedGaussian.with_floor(0.5)]
+    optimizer = CmaEs(genes, CmaConfig(), np.random.default_rng(0), [True, False])
+
+    def fitness_of(genomes):
+        return np.cos(2 * np.pi * (genomes[:, 0] - 0.95)) - (genomes[:, 1] - 0.3) ** 2
+
+    genomes = np.concatenate(asked(optimizer, 60, fitness_of))
+    assert ((genomes >= 0) & (genomes <= 1)).all()
+    assert optimizer.centre == pytest.approx([0.95, 0.3], abs=0.01)
+    assert genomes[:, 0].max() > 0.9  # some went round

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.integrate import quad
 
-from evolution.priors.distributions import ClippedGaussian, Uniform
+from evolution.priors.distributions import ClippedGaussian, Uniform, WrappedGaussian
 
 PEAKS = [0.0, 1 / 9, 0.5, 7 / 9, 1.0]
 SHAPES = [ClippedGaussian.with_floor(mu) for mu in PEAKS] + [
@@ -112,3 +112,38 @@ def test_a_draw_is_the_quantile_of_its_uniform_number(gaussian):
 def test_wide_gaussian_nears_the_uniform():
     density = ClippedGaussian(0.2, 1e3).density(np.linspace(0, 1, 11))
     np.testing.assert_allclose(density, 1.0, rtol=1e-6)
+
+
+# Circular genes
+
+
+CIRCLES = [WrappedGaussian.with_floor(mu) for mu in (0.0, 0.2, 0.5, 0.9)]
+
+
+@pytest.mark.parametrize("circle", CIRCLES, ids=str)
+def test_circular_density_depends_on_the_way_around_the_circle(circle):
+    x = np.linspace(0, 1, 101)
+    way = np.abs((x - circle.mu + 0.5) % 1.0 - 0.5)
+    centred = ClippedGaussian.with_floor(0.5)
+    np.testing.assert_allclose(circle.density(x), centred.density(0.5 + way))
+    assert circle.density(np.array([0.0])) == pytest.approx(circle.density(np.array([1.0])))
+
+
+@pytest.mark.parametrize("circle", CIRCLES, ids=str)
+def test_circular_samples_follow_their_density(circle):
+    draws = circle.sample(np.random.default_rng(7), 20_000)
+    counts, edges = np.histogram(draws, bins=20, range=(0, 1))
+    middles = (edges[1:] + edges[:-1]) / 2
+    expected = circle.density(middles)
+    assert stats.chisquare(counts, expected * counts.sum() / expected.sum()).pvalue > 0.01
+
+
+def test_least_circular_density_is_opposite_to_the_peak():
+    circle = WrappedGaussian.with_floor(0.7, 3.0)
+    density = circle.density(np.array([0.7, 0.2]))
+    assert density[0] / density[1] == pytest.approx(3.0)
+
+
+def test_misleading_peaks_are_at_the_other_end_or_across_the_circle():
+    assert ClippedGaussian(0.9, 0.3).reversed() == ClippedGaussian(pytest.approx(0.1), 0.3)
+    assert WrappedGaussian(0.7, 0.3).reversed() == WrappedGaussian(pytest.approx(0.2), 0.3)

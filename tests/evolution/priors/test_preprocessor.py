@@ -1,242 +1,15 @@
-"""The preprocessor: statics, grid search, and the table of priors that comes out."""
-
-from functools import partial
+"""The preprocessor: grid search, contradictions, and the distributions that they give."""
 
 import numpy as np
 import pytest
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.morphology import PARAMETERS
-from caterpillar_env.physics import Physics
-from evolution.genome import Encoding, Gene
-from evolution.priors.distributions import ClippedGaussian, Uniform
-from evolution.priors.preprocessor import (
-    GRAVITY_M_S2,
-    PITCH_ANGLES,
-    DesignParameter,
-    best_node,
-    design_parameters,
-    lifting_moment,
-    paper_priors,
-    preprocess,
-    roll_stability,
-    yaw_stability,
-)
+from evolution.genome import Gene
+from evolution.priors.distributions import ClippedGaussian, Uniform, WrappedGaussian
+from evolution.priors.preprocessor import DesignParameter, preprocess, search_grid
 
-BOUNDS = {p.name: (p.lower, p.upper) for p in PARAMETERS}
 A, B, C = (Gene(name, name, "m", 0.0, 1.0, name) for name in ("a", "b", "c"))
-
-
-def table_one(**kwargs):
-    rows = paper_priors(Encoding(Physics(**kwargs), 3.0))
-    return {row.gene.name: row for row in rows}
-
-
-def array(*values):
-    return tuple(np.array(v) for v in values)
-
-
-def lift(stiffness_n_m=35.0, rest_length_m=0.016, joint_limit_rad=0.0):
-    """The lifting moment as a function of its genes; of a level segment by default."""
-    return partial(
-        lifting_moment, stiffness_n_m=stiffness_n_m, rest_length_m=rest_length_m,
-        radius_m=0.012, joint_limit_rad=joint_limit_rad,
-    )  # fmt: skip
-
-
-# Formulas
-
-
-def test_roll_stability_of_a_hand_computed_segment():
-    # 8 g, w = 16 mm, R = 12 mm: 0.008 * 9.81 * (16 / 24) / 2 N
-    assert roll_stability(*array(0.008, 0.016, 0.012)) == pytest.approx(0.02616, rel=1e-12)
-
-
-def test_roll_stability_balances_the_moments_about_a_foot():
-    force = roll_stability(*array(0.01, 0.02, 0.01))
-    height, half_track = 2 * 0.01, 0.02 / 2
-    assert force * height == pytest.approx(0.01 * 9.81 * half_track, rel=1e-12)
-
-
-def test_yaw_stability_of_a_hand_computed_segment():
-    # 0.8 * 0.008 * 9.81 * 16 / (2 * 6 + 16) N = 0.062784 * 4 / 7 N
-    value = yaw_stability(*array(0.008, 0.016, 0.006), friction=0.8)
-    assert value == pytest.approx(0.062784 * 4 / 7, rel=1e-12)
-
-
-def test_level_lifting_moment_of_a_hand_computed_segment():
-    # k (L + 2x - Delta)(y + 2R) - m g L / 2 = 35 * 0.020 * 0.0305 - 0.008 * 9.81 * 0.015 N m
-    value = lift()(*array(0.003, 0.0065, 0.008, 0.030))
-    assert value == pytest.approx(0.02135 - 0.0011772, rel=1e-12)
-
-
-def test_slack_spring_lifts_nothing():
-    moment = lift(rest_length_m=0.050)(*array(0.0, 0.0065, 0.008, 0.030))  # longer than L + 2x
-    assert moment == pytest.approx(-0.0011772, rel=1e-12)
-
-
-def test_lifting_moment_is_the_slope_of_the_potential_energy():
-    # Virtual work: the moment about b is -dU/dtheta of the spring's and the weight's energy.
-    k, rest, radius, limit = 35.0, 0.016, 0.012, 0.6
-    x, y, m, length = 0.003, 0.0065, 0.008, 0.030
-    h = 2 * radius
-
-    def energy(theta):
-        turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
-        anchor = turn @ [length / 2 + x, y + h]
-        stretch = np.linalg.norm(anchor - [-length / 2 - x, y + h]) - rest
-        return k * stretch**2 / 2 + m * GRAVITY_M_S2 * (turn @ [length / 2, h])[1]
-
-    angles, step = np.linspace(0, limit, PITCH_ANGLES), 1e-6
-    slopes = [(energy(t + step) - energy(t - step)) / (2 * step) for t in angles]
-    value = lift(k, rest, limit)(*array(x, y, m, length))
-    assert value == pytest.approx(-np.mean(slopes), rel=1e-7)
-
-
-SIGNS = [
-    (design_parameters(Physics())[0], ["segment_mass_kg", "leg_separation_m"], ["segment_radius_m"]),
-    (design_parameters(Physics())[1], ["segment_mass_kg", "leg_separation_m"], ["attachment_z_m"]),
-    (
-        design_parameters(Physics())[2]._replace(name="level lift", formula=lift()),
-        ["attachment_x_m", "attachment_y_m", "segment_length_m"],
-        ["segment_mass_kg"],
-    ),
-]
-
-
-def changes(parameter, gene):
-    """By how much K_i changes when one gene grows by a thousandth of its range, at random bodies."""
-    rng = np.random.default_rng(0)
-    points = {n: rng.uniform(*BOUNDS[n], size=500) for n in parameter.gene_names}
-    low, high = BOUNDS[gene]
-    moved = {**points, gene: points[gene] + 1e-3 * (high - low)}
-    return parameter.formula(*moved.values()) - parameter.formula(*points.values())
-
-
-@pytest.mark.parametrize(("parameter", "rising", "falling"), SIGNS, ids=lambda p: getattr(p, "name", ""))
-def test_each_gene_pushes_its_parameter_the_way_the_paper_says(parameter, rising, falling):
-    assert {*rising, *falling} == set(parameter.gene_names)
-    for gene in rising:
-        assert np.all(changes(parameter, gene) > 0), gene
-    for gene in falling:
-        assert np.all(changes(parameter, gene) < 0), gene
-
-
-def test_lift_over_all_pitch_angles_keeps_the_signs_nearly_everywhere():
-    # A higher anchor lets a pitched spring go slack sooner: at a few bodies y then lowers the mean.
-    moment = design_parameters(Physics())[2]
-    for gene in ("attachment_x_m", "attachment_y_m", "segment_length_m"):
-        assert np.mean(changes(moment, gene) > 0) > 0.95, gene
-    assert np.mean(changes(moment, "segment_mass_kg") < 0) > 0.95
-
-
-# Table I
-
-
-@pytest.mark.parametrize(
-    ("gene", "peak"),
-    [
-        ("leg_separation_m", 1.0),
-        ("segment_length_m", 1.0),
-        ("attachment_x_m", 1.0),
-        ("attachment_y_m", 1.0),
-        ("segment_radius_m", 0.0),
-        ("attachment_z_m", 0.0),
-    ],
-)
-def test_paper_genes_peak_at_their_bounds(gene, peak):
-    assert table_one()[gene].distribution == ClippedGaussian.with_floor(peak)
-
-
-def test_mass_is_uniform_because_lift_contradicts_stability():
-    row = table_one()["segment_mass_kg"]
-    assert row.distribution == Uniform()
-    assert row.reason.startswith("contradiction")
-    assert dict(row.signs) == {"roll stability": 1, "yaw stability": 1, "lifting moment": -1}
-
-
-def test_joint_limit_and_timings_are_uniform_for_want_of_a_parameter():
-    rows = table_one()
-    free = {n: r for n, r in rows.items() if n == "joint_limit_rad" or n.startswith("gap")}
-    assert len(free) == 13
-    assert {r.distribution for r in free.values()} == {Uniform()}
-    assert {r.reason for r in free.values()} == {"in no design parameter"}
-    assert {r.signs for r in free.values()} == {()}
-
-
-def test_feet_are_wanted_wide_by_roll_and_yaw_alike():
-    row = table_one()["leg_separation_m"]
-    assert dict(row.signs) == {"roll stability": 1, "yaw stability": 1}
-    assert "roll stability" in row.reason
-    assert "yaw stability" in row.reason
-
-
-def test_longer_robot_has_the_same_table_with_more_timings():
-    four, six = table_one(), table_one(num_segments=6)
-    assert len(six) == 8 + 4 * 5
-    for p in PARAMETERS:
-        assert six[p.name].distribution == four[p.name].distribution
-    assert six["gap5_ventral_off_s"].distribution == Uniform()
-
-
-def test_every_segment_of_its_own_has_the_same_rules():
-    shared = table_one()
-    rows = paper_priors(Encoding(Physics(), 3.0, "per-segment"))
-    assert len(rows) == 44
-    for row in rows[:32]:
-        segment, name = row.gene.name.split("_", 1)
-        assert segment in ("segment1", "segment2", "segment3", "segment4")
-        assert row.distribution == shared[name].distribution
-        assert row.signs == shared[name].signs
-
-
-def test_single_springs_are_as_free_as_pairs():
-    rows = {r.gene.name: r for r in paper_priors(Encoding(Physics(), 3.0, "full"))}
-    assert len(rows) == 32
-    for name, row in table_one().items():
-        if name in rows:
-            assert row.distribution == rows[name].distribution
-    assert rows["gap3_ventral_right_off_s"].distribution == Uniform()
-
-
-def test_without_spring_force_the_lift_wants_short_and_light_segments():
-    # Only the weight's moment m g L / 2 is left, which a short segment keeps small.
-    moment = design_parameters(Physics())[2]
-    best = best_node(moment._replace(formula=lift(stiffness_n_m=1e-9)), BOUNDS)
-    assert best["segment_length_m"] == 0.0
-    assert best["segment_mass_kg"] == 0.0
-
-
-def test_floor_ratio_narrows_the_gaussians():
-    rows = paper_priors(Encoding(Physics(), 3.0), floor_ratio=10.0)
-    row = next(r for r in rows if r.gene.name == "leg_separation_m")
-    # 1 / sqrt(2 ln 10) = 0.4659906
-    assert row.distribution.sigma == pytest.approx(0.4659906, rel=1e-6)
-
-
-@pytest.mark.parametrize("ratio", [1.0, 0.5, -3.0, np.nan, np.inf])
-def test_floor_ratio_that_makes_no_gaussian_is_refused(ratio):
-    with pytest.raises(CaterpillarError, match="floor_ratio"):
-        paper_priors(Encoding(Physics(), 3.0), floor_ratio=ratio)
-
-
-def test_rows_as_json_are_in_the_genes_unit():
-    rows = {r.gene.name: r.to_dict() for r in paper_priors(Encoding(Physics(), 3.0))}
-    wide = rows["leg_separation_m"]  # 8 to 24 mm, peak at the upper bound
-    assert set(wide) == {
-        "gene", "symbol", "unit", "kind", "mu", "sigma", "lower", "upper", "reason",
-    }  # fmt: skip
-    assert wide["kind"] == "truncated_gaussian"
-    assert wide["mu"] == pytest.approx(0.024)
-    assert wide["sigma"] == pytest.approx(0.6746255 * 0.016, rel=1e-6)
-    assert (wide["symbol"], wide["unit"]) == ("w", "m")
-    timing = rows["gap1_dorsal_on_s"]
-    assert timing["kind"] == "uniform"
-    assert (timing["mu"], timing["sigma"]) == (None, None)
-    assert (timing["lower"], timing["upper"]) == (0.0, 3.0)
-
-
-# Parameters of one's own
+CIRCLE = Gene("phase", "p", "1", 0.0, 1.0, "phase", circular=True)
 
 
 def k(name, genes, formula):
@@ -258,7 +31,7 @@ def test_grid_spans_the_genes_own_range():
 def test_optimum_off_the_axes_is_found_by_searching_all_nodes():
     # The best a depends on b, so no search along one axis at a time from a corner finds it.
     formula = k("K", ("a", "b"), lambda a, b: -100 * (a - b) ** 2 - (b - 2 / 3) ** 2)
-    assert best_node(formula, {"a": (0, 1), "b": (0, 1)}) == pytest.approx({"a": 2 / 3, "b": 2 / 3})
+    assert search_grid(formula, (A, B)).best == (6, 6)
 
 
 def test_parameters_that_agree_share_one_gaussian():
@@ -316,3 +89,35 @@ def test_parameters_of_one_name_are_not_merged_silently():
     except CaterpillarError:
         return
     assert rows[0].distribution == Uniform()
+
+
+def test_disagreement_can_be_resolved_by_the_product():
+    # K1 falls from 1 to 1/2 and K2 rises from 0 to 1; (1 - a / 2) a is largest at the last node.
+    falling, rising = k("K1", ("a",), lambda a: 1 - a / 2), k("K2", ("a",), lambda a: a)
+    (row,) = preprocess([falling, rising], [A], contradictions="product")
+    assert row.distribution == ClippedGaussian.with_floor(1.0)
+    assert row.reason.startswith("best product (K1 wants 0 mm; K2 wants 1e+03 mm)")
+    # (1 - a) a is largest in the middle; of the two nodes there, the first is taken.
+    (row,) = preprocess([falling._replace(formula=lambda a: 1 - a), rising], [A], 3.0, "product")
+    assert row.distribution == ClippedGaussian.with_floor(4 / 9)
+
+
+def test_product_takes_the_other_genes_at_their_best():
+    # K2 prefers a = 1 only where b is 0, but its best node has b = 1.
+    second = k("K2", ("a", "b"), lambda a, b: b * (2 - a) + (1 - b) * a)
+    rows = preprocess([k("K1", ("a",), lambda a: a**4), second], [A, B], contradictions="product")
+    assert rows[0].distribution == ClippedGaussian.with_floor(1.0)
+    assert rows[1].distribution == ClippedGaussian.with_floor(1.0)
+
+
+def test_agreement_does_not_depend_on_how_contradictions_are_resolved():
+    parameters = [k("K1", ("a",), lambda a: a), k("K2", ("a", "b"), lambda a, b: a - b)]
+    assert preprocess(parameters, [A, B]) == preprocess(parameters, [A, B], contradictions="product")
+
+
+@pytest.mark.parametrize(("optimum", "place"), [(0.42, 0.4), (0.93, 0.9), (0.97, 0.0)])
+def test_nodes_of_a_circular_gene_do_not_repeat_its_bounds(optimum, place):
+    closeness = k("K", ("phase",), lambda p: np.cos(2 * np.pi * (p - optimum)))
+    (row,) = preprocess([closeness], [CIRCLE])
+    assert row.distribution == WrappedGaussian.with_floor(place)
+    assert row.signs == (("K", 0),)

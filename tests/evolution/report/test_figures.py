@@ -13,7 +13,7 @@ from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Robot
 from evolution.config import RunConfig
 from evolution.genome import Encoding
-from evolution.priors.preprocessor import paper_priors
+from evolution.priors import make_priors
 from evolution.report import figures
 from evolution.run.loop import Generation
 
@@ -80,7 +80,7 @@ def test_gait_is_drawn_for_any_robot_and_timing(num_segments, on_s, off_s, tmp_p
 
 
 def test_densities_of_all_genes_are_drawn(tmp_path):
-    priors = paper_priors(Encoding(Physics(num_segments=2), PERIOD_S))
+    priors = make_priors(Encoding(Physics(num_segments=2), PERIOD_S))
     figures.save(figures.densities(priors), tmp_path / "densities.png")
     picture(tmp_path / "densities.png")
 

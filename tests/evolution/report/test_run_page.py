@@ -174,7 +174,7 @@ def test_video_is_embedded_if_it_shows_the_best_robot(folder, monkeypatch):
         (replace(SHORT, optimizer="random", prior="uniform"), "random with the prior uniform"),
         (replace(SHORT, genome="full"), "gap1 dorsal left on"),
         (replace(CONFIG, genome="per-segment"), "segment2 leg separation"),
-        (replace(SHORT, prior="mutation-only"), "the first generation is uniform"),
+        (replace(SHORT, prior_use="mutation"), "the first generation is uniform"),
         (replace(SHORT, objective="distance-per-energy"), "The objective was distance-per-energy"),
         (replace(CONFIG, generations=9, budget_s=100.0), "a budget of 100 simulated seconds"),
     ],
@@ -188,7 +188,7 @@ def test_runs_of_every_kind_have_a_page(config, text, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("prior", "peaks"), [("uniform", 0), ("preprocessed", 6), ("init-only", 6), ("mutation-only", 6)]
+    ("prior", "peaks"), [("uniform", 0), ("body", 6), ("preprocessed", 6), ("mutation-only", 6)]
 )
 def test_genes_show_the_prior_that_the_run_uses(folder, prior, peaks):
     history = load(folder)

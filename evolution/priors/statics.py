@@ -1,0 +1,251 @@
+"""A planar, quasi-static model of the crawling robot, for the key design parameter K_5.
+
+The robot is reduced to its sagittal plane: a chain of rigid segments with a pitch hinge (neck) between
+neighbours and a prismatic joint in each segment but the last. Left and right springs act as one. At each
+instant the chain takes the shape of least energy,
+
+    E = springs + necks + prismatic joints + gravity + compression of the feet
+        + sum over feet of friction * load * |displacement since the last instant|,
+
+plus the work of the dampers in the joints. There is no inertia. The last term is Coulomb friction: the
+feet slide in the way that dissipates least. Its absolute value is smoothed over `SLIP_M`, and its loads
+are those of the previous iteration.
+
+All chains of one call have the same body and differ in their gaits. They are solved together, and the
+last axis of every array counts them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from caterpillar_env.arrays import Array
+from caterpillar_env.model import ELEMENTS_PER_SEGMENT
+from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import GRAVITY_M_S2, Physics
+from caterpillar_env.sma import spring_force
+
+SLIP_M = 3e-4  #: displacement in an instant over which friction builds up
+FOOT_STIFFNESS_N_M = 400.0  #: a pair of feet carries about 0.08 N
+NECK_STOP_N_M_RAD = 3.0  #: stiffness of a neck beyond its limit
+AXIAL_STOP_N_M = 2e4  #: stiffness of a prismatic joint beyond its travel
+ITERATIONS = 3  #: Newton iterations in an instant
+FIRST_ITERATIONS = 40  #: in the first instant, which starts from a straight chain
+
+
+class _Vectors(NamedTuple):
+    """Coefficients of V vectors: sum over segments j of (along - slide s_j) e_j + above n_j.
+
+    e_j points forward along segment j, n_j upward from it, and s_j is the extension of its prismatic
+    joint. All arrays have the shape (V, N, 1). The vectors are the feet, the sum of the centres of all
+    elements, and the springs from end to end.
+    """
+
+    along_m: Array
+    above_m: Array
+    slide: Array
+
+
+class Geometry(NamedTuple):
+    """Positions of G chains."""
+
+    vectors_m: Array  #: see `_Vectors`, (2, V, G)
+    jacobian: Array  #: their derivatives with respect to the coordinates, (2, V, n, G)
+    along_m: Array  #: `_Vectors.along_m` minus the extensions of the prismatic joints, (V, N, G)
+    forward: Array  #: e_j, (2, N, G)
+    upward: Array  #: n_j, (2, N, G)
+
+
+class PlanarChain:
+    """The model of one body.
+
+    The n = 2 N + 1 coordinates of a chain of N segments are the position x, z of the centre of the
+    head's legged element, the pitch of each segment, and the extension of each prismatic joint but the
+    last.
+
+    Args:
+        morphology: body of all segments.
+        physics: material and number of segments.
+    """
+
+    def __init__(self, morphology: Morphology, physics: Physics) -> None:
+        self._body, self._physics = morphology, physics
+        self._feet = physics.num_segments
+        self._elements = ELEMENTS_PER_SEGMENT * physics.num_segments
+        self._pitches, self._slides = np.split(np.arange(2, 2 * self._feet + 1), [self._feet])
+        self._vectors = self._list_vectors()
+        self._element_n = morphology.segment_mass_kg / ELEMENTS_PER_SEGMENT * GRAVITY_M_S2
+        # At rest, the pre-tension of the cold springs compresses a segment to its length.
+        spaced = np.array(morphology.segment_length_m + 2 * morphology.attachment_x_m)
+        pretension = 4 * spring_force(physics.spring, spaced, np.array(0.0))
+        self._stretch_m = float(pretension) / physics.axial_stiffness_n_m
+        # Newton's method limits each step to these changes, and adds this to the Hessian's diagonal.
+        pitches, slides = self._feet, self._feet - 1
+        self._largest = np.array([0.01, 0.005] + pitches * [0.15] + slides * [0.002])[:, None]
+        self._regularization = np.diag([1e-2, 1e-2] + pitches * [1e-3] + slides * [1e-2])
+
+    def _list_vectors(self) -> _Vectors:
+        m = self._body
+        x, y, segments = m.attachment_x_m, m.attachment_y_m, range(self._feet)
+        feet = [self._point(i, 0.0, -2 * m.segment_radius_m) for i in segments]
+        legged = sum(self._point(i, 0.0, 0.0) for i in segments)
+        plain = sum(self._point(i, -m.segment_length_m / 2, 0.0, slide=1.0) for i in segments)
+        springs = [
+            self._point(gap + 1, -x, height) - self._point(gap, x, height)
+            for gap in segments[:-1]
+            for height in (y, -y)
+        ]
+        return _Vectors(*np.stack([*feet, legged + plain, *springs], axis=1)[..., None])
+
+    def _point(self, segment: int, along_m: float, above_m: float, slide: float = 0.0) -> Array:
+        """Return the coefficients, (3, N), of a point from the centre of the head's legged element."""
+        length_m = self._body.segment_length_m
+        point = np.zeros((3, self._feet))
+        point[0, :segment] = -3 / 4 * length_m  # to the neck behind
+        point[0, 1 : segment + 1] -= length_m / 4  # from the neck ahead
+        point[2, :segment] = 1.0
+        point[:, segment] += along_m, above_m, slide
+        point[2, -1] = 0.0  # the last prismatic joint is rigid
+        return point
+
+    def crawl(self, fractions: Array, interval_s: float) -> Array:
+        """Return the position of the head, m, at each of K instants, (K, G).
+
+        Args:
+            fractions: austenite fraction of each pair of springs, (K, pairs, G).
+            interval_s: time from one instant to the next.
+        """
+        q = self.settle(fractions[0])
+        positions_m = [q[0]]
+        for fraction in fractions[1:]:
+            start, feet_m, load_n = q, self.locate(q).vectors_m[0, : self._feet], self.loads_n(q)
+            for _ in range(ITERATIONS):
+                q, load_n = self._improve(q, start, fraction, feet_m, load_n, interval_s)
+            positions_m.append(q[0])
+        return np.array(positions_m)
+
+    def settle(self, fraction: Array) -> Array:
+        """Return the coordinates at rest, from a straight chain, for fractions (pairs, G): (n, G)."""
+        load_n = np.full((self._feet, fraction.shape[1]), ELEMENTS_PER_SEGMENT * self._element_n)
+        q = np.zeros((2 * self._feet + 1, fraction.shape[1]))
+        q[1] = 2 * self._body.segment_radius_m - load_n[0] / FOOT_STIFFNESS_N_M
+        feet_m = self.locate(q).vectors_m[0, : self._feet]
+        for _ in range(FIRST_ITERATIONS):
+            q, load_n = self._improve(q, q, fraction, feet_m, load_n, 1.0)
+        return q
+
+    def loads_n(self, q: Array) -> Array:
+        """Return the load on each pair of feet, (N, G)."""
+        loads: Array = FOOT_STIFFNESS_N_M * np.maximum(-self.locate(q).vectors_m[1, : self._feet], 0.0)
+        return loads
+
+    def locate(self, q: Array) -> Geometry:
+        """Return the positions of chains with the coordinates q, (n, G)."""
+        v, pitch = self._vectors, q[self._pitches]
+        slides_m = np.zeros_like(pitch)
+        slides_m[:-1] = q[self._slides]
+        along_m = v.along_m - v.slide * slides_m
+        forward = np.stack([np.cos(pitch), np.sin(pitch)])
+        upward = np.stack([-forward[1], forward[0]])
+        vectors_m = (along_m * forward[:, None] + v.above_m * upward[:, None]).sum(axis=2)
+        vectors_m[:, : self._feet] += q[:2, None]
+        vectors_m[:, self._feet] += self._elements * q[:2]
+        jacobian = np.zeros((*vectors_m.shape[:2], *q.shape))
+        for axis in range(2):
+            jacobian[axis, : self._feet, axis] = 1.0
+            jacobian[axis, self._feet, axis] = self._elements
+        jacobian[:, :, self._pitches] = along_m * upward[:, None] - v.above_m * forward[:, None]
+        jacobian[:, :, self._slides] = -(v.slide * forward[:, None])[:, :, :-1]
+        return Geometry(vectors_m, jacobian, along_m, forward, upward)
+
+    def _improve(
+        self, q: Array, start: Array, fraction: Array, feet_m: Array, load_n: Array, interval_s: float
+    ) -> tuple[Array, Array]:
+        """Return the coordinates after one Newton iteration, and the loads of the feet before it."""
+        at = self.locate(q)
+        force, stiffness, load_n = self._load(at, fraction, feet_m, load_n)
+        gradient = np.einsum("kvg,kvng->ng", force, at.jacobian)
+        weighted = np.einsum("klvg,lvng->kvng", stiffness, at.jacobian)
+        hessian = np.einsum("kvng,kvmg->nmg", at.jacobian, weighted)
+        self._add_curvature(hessian, at, force)
+        self._add_joints(gradient, hessian, q, start, interval_s)
+        matrices = hessian.transpose(2, 0, 1) + self._regularization
+        step = -np.linalg.solve(matrices, gradient.T[..., None])[..., 0].T
+        return q + step / np.maximum((np.abs(step) / self._largest).max(axis=0), 1.0), load_n
+
+    def _load(
+        self, at: Geometry, fraction: Array, feet_m: Array, load_n: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return the loads of the feet, and the derivatives of the energy with respect to the vectors.
+
+        Returns:
+            The gradient (2, V, G), the Hessian (2, 2, V, G), and the loads (N, G).
+        """
+        feet, spring = self._feet, self._physics.spring
+        force = np.zeros_like(at.vectors_m)
+        stiffness = np.zeros((2, *force.shape))
+        force[1, feet] = self._element_n
+        foot_x_m, foot_z_m = at.vectors_m[:, :feet]
+        moved_m = foot_x_m - feet_m
+        friction = self._physics.friction * load_n / np.hypot(moved_m, SLIP_M)
+        touching = foot_z_m < 0
+        load_n = -FOOT_STIFFNESS_N_M * foot_z_m * touching
+        force[0, :feet], force[1, :feet] = friction * moved_m, -load_n
+        stiffness[0, 0, :feet], stiffness[1, 1, :feet] = friction, FOOT_STIFFNESS_N_M * touching
+        span_m = at.vectors_m[:, feet + 1 :]
+        length_m = np.hypot(*span_m)
+        unit = span_m / length_m
+        tension = 2 * spring_force(spring, length_m, fraction)  # of a left and a right spring
+        cold, hot = spring.martensite_stiffness_n_m, spring.austenite_stiffness_n_m
+        free = (tension > 0) & (tension < 2 * spring.force_limit_n)
+        rate = 2 * ((1 - fraction) * cold + fraction * hot) * free
+        across = tension / length_m
+        force[:, feet + 1 :] = tension * unit
+        stiffness[:, :, feet + 1 :] = (rate - across) * unit[:, None] * unit
+        stiffness[0, 0, feet + 1 :] += across
+        stiffness[1, 1, feet + 1 :] += across
+        return force, stiffness, load_n
+
+    def _add_curvature(self, hessian: Array, at: Geometry, force: Array) -> None:
+        """Add the forces times the second derivatives of the vectors with respect to the pitches.
+
+        Negative values are left out. The Hessian is then positive definite, and every step is downhill.
+        """
+        along = (force[:, :, None] * at.forward[:, None]).sum(axis=0)  # (V, N, G)
+        up = (force[:, :, None] * at.upward[:, None]).sum(axis=0)
+        turned = -(at.along_m * along + self._vectors.above_m * up).sum(axis=0)
+        hessian[self._pitches, self._pitches] += np.maximum(turned, 0.0)
+
+    def _add_joints(
+        self, gradient: Array, hessian: Array, q: Array, start: Array, interval_s: float
+    ) -> None:
+        """Add the moments of the necks and the forces of the prismatic joints."""
+        p, m = self._physics, self._body
+        angle = np.diff(q[self._pitches], axis=0)
+        bent = p.neck_stiffening * (angle / m.joint_limit_rad) ** 2
+        damping = p.neck_damping_n_m_s_rad / interval_s
+        beyond = angle - np.clip(angle, -m.joint_limit_rad, m.joint_limit_rad)
+        turned = angle - np.diff(start[self._pitches], axis=0)
+        moment = p.neck_stiffness_n_m_rad * (1 + bent) * angle
+        moment += NECK_STOP_N_M_RAD * beyond + damping * turned
+        rate = p.neck_stiffness_n_m_rad * (1 + 3 * bent) + NECK_STOP_N_M_RAD * (beyond != 0) + damping
+        ahead, behind = self._pitches[:-1], self._pitches[1:]
+        gradient[ahead] -= moment
+        gradient[behind] += moment
+        hessian[ahead, ahead] += rate
+        hessian[behind, behind] += rate
+        hessian[ahead, behind] -= rate
+        hessian[behind, ahead] -= rate
+
+        slide_m, travel_m = q[self._slides], p.axial_range * m.segment_length_m
+        beyond = slide_m - np.clip(slide_m, -travel_m, travel_m)
+        damping = p.axial_damping_n_s_m / interval_s
+        gradient[self._slides] += (
+            p.axial_stiffness_n_m * (slide_m - self._stretch_m)
+            + AXIAL_STOP_N_M * beyond
+            + damping * (slide_m - start[self._slides])
+        )
+        rate = p.axial_stiffness_n_m + AXIAL_STOP_N_M * (beyond != 0) + damping
+        hessian[self._slides, self._slides] += rate

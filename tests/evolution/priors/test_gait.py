@@ -1,0 +1,134 @@
+"""The design parameters of the gait, and the priors that they give to each kind of gait genes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import spearmanr
+
+from caterpillar_env.gait import GaitTimings
+from caterpillar_env.morphology import Morphology
+from caterpillar_env.physics import Physics
+from caterpillar_env.robot import simulate
+from evolution.genome import Encoding
+from evolution.priors import make_priors, searches
+from evolution.priors.distributions import ClippedGaussian, Uniform, WrappedGaussian
+from evolution.priors.gait import gait_parameters
+
+WAVE, PHASE = Encoding(timing="wave"), Encoding(timing="phase")
+STROKE, ADVANCE = gait_parameters(Physics(), 5.0)
+
+
+def distributions(encoding, prior="body+gait", **settings):
+    return {row.gene.name: row.distribution for row in make_priors(encoding, prior, **settings)}
+
+
+# K_4
+
+
+def test_stroke_is_full_at_a_fifth_of_the_period():
+    # A spring heats in about 1 s and cools in 2.8 s: 1 s on and 4 s off swings it fully.
+    duty = np.array([0.0, 0.1, 0.2, 0.5, 0.75, 0.95])
+    stroke = STROKE.formula(duty)
+    assert stroke[[0, 4, 5]] == pytest.approx([0, 0, 0], abs=1e-6)  # never warm, or never cool
+    assert stroke[2] == pytest.approx(1.0, abs=0.01)
+    assert 0 < stroke[1] < stroke[2]
+    assert 0.3 < stroke[3] < 0.6
+
+
+def test_longer_period_leaves_more_time_to_cool():
+    (short, _), (long, _) = (gait_parameters(Physics(), period) for period in (3.0, 10.0))
+    half = np.array([0.5])
+    assert short.formula(half) < STROKE.formula(half) < long.formula(half)
+
+
+# K_5
+
+
+def test_wave_from_the_tail_advances_and_from_the_head_retreats():
+    lag, offset, duty = np.array([0.7, 0.3, 0.0]), np.full(3, 0.5), np.full(3, 0.2)
+    forward, backward, standing = ADVANCE.formula(lag, offset, duty)
+    assert forward > 0.015
+    assert backward < -0.010
+    assert abs(standing) < 0.3 * forward
+
+
+def test_springs_that_never_cool_do_not_advance():
+    hot = ADVANCE.formula(np.array([0.7]), np.array([0.5]), np.array([0.9]))
+    assert abs(hot[0]) < 0.002
+
+
+def test_advance_ranks_gaits_as_the_simulator_does():
+    # 200 gaits give a correlation of 0.84 (see docs/evolution.md); 30 gaits vary about it.
+    rng = np.random.default_rng(3)
+    lag, offset, duty = rng.random(30), rng.random(30), rng.uniform(0.1, 0.4, 30)
+    delay, duties = np.zeros((30, 6)), np.repeat(duty[:, None], 6, axis=1)
+    delay[:, 2::2], delay[:, 1::2] = lag[:, None], offset[:, None]
+    timings = GaitTimings.from_phases(delay, duties, 5.0)
+    crawled = simulate([Morphology()] * 30, timings, Physics(), duration_s=10.0)
+    assert spearmanr(ADVANCE.formula(lag, offset, duty), crawled.distance_m)[0] > 0.6
+
+
+# Priors
+
+
+def test_best_wave_runs_from_the_tail_with_ventral_springs_half_a_period_later():
+    found = {search.parameter.name: search for search in searches(WAVE, "gait")}
+    lag, offset, _ = found["advance"].best
+    assert lag in (7, 8)
+    assert offset in (4, 5, 6)
+    assert found["stroke"].best[0] == found["advance"].best[2] == 2  # a duty of 21 %
+
+
+def test_wave_genes_have_the_peaks_of_the_best_nodes():
+    gait = distributions(WAVE, "gait")
+    lag, offset, duty = (gait[name] for name in ("lag", "offset", "dorsal_duty"))
+    assert isinstance(lag, WrappedGaussian)
+    assert isinstance(offset, WrappedGaussian)
+    assert duty == gait["ventral_duty"] == ClippedGaussian.with_floor(2 / 9)
+    assert gait["leg_separation_m"] == Uniform()
+    assert distributions(WAVE)["leg_separation_m"] == ClippedGaussian.with_floor(1.0)
+
+
+def test_phase_genes_share_the_peaks_of_the_wave():
+    wave, phase = distributions(WAVE), distributions(PHASE)
+    assert phase["gap1_dorsal_delay"] == Uniform()  # shifts the whole gait in time
+    assert phase["gap2_dorsal_delay"] == phase["gap3_dorsal_delay"] == wave["lag"]
+    assert phase["gap1_ventral_delay"] == phase["gap3_ventral_delay"] == wave["offset"]
+    assert phase["gap1_dorsal_duty"] == phase["gap3_ventral_duty"] == wave["dorsal_duty"]
+
+
+def test_on_and_off_times_peak_at_those_of_the_best_wave():
+    wave, times = distributions(WAVE), distributions(Encoding())
+    lag, offset, duty = wave["lag"].mu, wave["offset"].mu, 0.95 * wave["dorsal_duty"].mu
+    on = {"gap1_dorsal": 0.0, "gap1_ventral": offset, "gap3_ventral": 2 * lag + offset}
+    for pair, start in on.items():
+        assert times[f"{pair}_on_s"].mu == pytest.approx(start % 1, abs=1e-6)
+        assert times[f"{pair}_off_s"].mu == pytest.approx((start + duty) % 1, abs=1e-6)
+    springs = distributions(Encoding(kind="full"))
+    assert springs["gap2_dorsal_left_on_s"] == springs["gap2_dorsal_right_on_s"]
+    assert springs["gap2_dorsal_left_on_s"] == times["gap2_dorsal_on_s"]
+
+
+@pytest.mark.parametrize("encoding", [PHASE, replace(PHASE, kind="full")], ids=["pairs", "springs"])
+def test_prior_of_the_body_says_nothing_of_the_gait(encoding):
+    shapes = distributions(encoding, "body")
+    assert {shape for name, shape in shapes.items() if name.startswith("gap")} == {Uniform()}
+
+
+def test_robots_of_all_lengths_have_the_same_wave():
+    four, eight = (distributions(Encoding(Physics(n), timing="wave"), "gait") for n in (4, 8))
+    assert four == eight
+
+
+def test_controls_mislead_with_the_same_strength():
+    wave = distributions(WAVE)
+    mirrored = distributions(WAVE, control="mirrored")
+    shuffled = distributions(WAVE, control="shuffled", seed=1)
+    assert mirrored["lag"].mu == pytest.approx((wave["lag"].mu + 0.5) % 1)
+    assert mirrored["leg_separation_m"].mu == 0.0
+    assert mirrored["joint_limit_rad"] == Uniform()
+    assert sorted(map(repr, shuffled.values())) == sorted(map(repr, wave.values()))
+    assert shuffled != wave
+    assert shuffled != distributions(WAVE, control="shuffled", seed=2)
+    assert shuffled == distributions(WAVE, control="shuffled", seed=1)
