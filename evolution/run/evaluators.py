@@ -10,17 +10,36 @@ import os
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Protocol, Self
+from typing import Any, NamedTuple, Protocol, Self
+
+from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.robot import Outcomes, simulate
+from caterpillar_env.robot import Outcomes, follow
+from caterpillar_env.task import EPISODE_S, Crawl, CrawlState
 from evolution.genome import Encoding
 
 CHUNK = 50  #: number of genomes that are evaluated and recorded together
 _CONNECT_TIMEOUT_S = 5.0
 
 OnProgress = Callable[[float], None]  #: called with the share that is evaluated, in [0, 1]
+
+
+class Job(NamedTuple):
+    """Work for one worker: P genomes to simulate from the start, or from a state, to a time."""
+
+    genomes: Array  #: (P, n), values in [0, 1]
+    end_s: float = EPISODE_S
+    start_s: float = 0.0
+    start: CrawlState | None = None  #: state of the robots at `start_s`; None means the start
+
+
+class Result(NamedTuple):
+    """Result of a `Job`."""
+
+    outcomes: Outcomes
+    end: CrawlState | None  #: state at `end_s`; None at the end of an episode
 
 
 class Evaluator(Protocol):
@@ -33,14 +52,14 @@ class Evaluator(Protocol):
         return None
 
     def map(
-        self, encoding: Encoding, chunks: Sequence[Array], on_progress: OnProgress | None = None
-    ) -> Iterator[Outcomes]:
-        """Yield the outcomes of each chunk, in order.
+        self, encoding: Encoding, jobs: Sequence[Job], on_progress: OnProgress | None = None
+    ) -> Iterator[Result]:
+        """Yield the result of each job, in order; see `run_job`.
 
         Args:
             encoding: maps the genomes to robots.
-            chunks: arrays of genomes, each of shape (P, n).
-            on_progress: called with the share of the next chunk that is evaluated, in [0, 1].
+            jobs: the work.
+            on_progress: called with the share of the next job that is done, in [0, 1].
         """
         ...
 
@@ -59,8 +78,47 @@ def evaluate(
     Returns:
         The outcomes, arrays of shape (P,).
     """
-    bodies, timings = encoding.decode(genomes)
-    return simulate(bodies, timings, encoding.physics, threads=threads, on_progress=on_progress)
+    return run_job(Job(genomes), encoding, threads=threads, on_progress=on_progress).outcomes
+
+
+def run_job(
+    job: Job, encoding: Encoding, *, threads: int = 0, on_progress: OnProgress | None = None
+) -> Result:
+    """Do a job on this machine. For the arguments, see `evaluate`."""
+    bodies, timings = encoding.decode(job.genomes)
+    crawl = Crawl(bodies, encoding.physics, threads)
+    if job.start is not None:
+        crawl.set_state(job.start)
+    follow(crawl, timings, job.start_s, job.end_s, on_progress=on_progress)
+    end = crawl.get_state() if job.end_s < EPISODE_S else None
+    return Result(Outcomes.of(crawl.progress()), end)
+
+
+def split(rows: NDArray[Any]) -> list[NDArray[Any]]:
+    """Split an array into chunks of `CHUNK` genomes, which are evaluated and recorded together."""
+    return [rows[i : i + CHUNK] for i in range(0, len(rows), CHUNK)]
+
+
+def run_jobs(
+    evaluator: Evaluator,
+    encoding: Encoding,
+    jobs: Sequence[Job],
+    on_progress: OnProgress | None = None,
+    first: float = 0.0,
+    last: float = 1.0,
+) -> Iterator[Result]:
+    """Yield the result of each job, and report a progress that rises from `first` to `last`."""
+    sizes = [len(job.genomes) for job in jobs]
+    number = 0
+
+    def report(share: float) -> None:
+        if on_progress is not None:
+            done = (sum(sizes[:number]) + share * sizes[number]) / sum(sizes)
+            on_progress(first + (last - first) * done)
+
+    for result in evaluator.map(encoding, jobs, report):
+        yield result
+        number += 1
 
 
 class LocalEvaluator(Evaluator):
@@ -74,17 +132,17 @@ class LocalEvaluator(Evaluator):
         self._threads = threads
 
     def map(
-        self, encoding: Encoding, chunks: Sequence[Array], on_progress: OnProgress | None = None
-    ) -> Iterator[Outcomes]:
+        self, encoding: Encoding, jobs: Sequence[Job], on_progress: OnProgress | None = None
+    ) -> Iterator[Result]:
         """See `Evaluator.map`."""
-        for chunk in chunks:
-            yield evaluate(chunk, encoding, threads=self._threads, on_progress=on_progress)
+        for job in jobs:
+            yield run_job(job, encoding, threads=self._threads, on_progress=on_progress)
 
 
 class RayEvaluator(Evaluator):
-    """Evaluates on the workers of a Ray cluster, one chunk per worker at a time.
+    """Evaluates on the workers of a Ray cluster, one job per worker at a time.
 
-    The chunk of a lost worker is evaluated again elsewhere. For the address, see `connect_ray`.
+    The job of a lost worker is evaluated again elsewhere. For the address, see `connect_ray`.
     """
 
     def __init__(self, address: str | None = None) -> None:
@@ -98,23 +156,23 @@ class RayEvaluator(Evaluator):
         self._connection.__exit__(*exception)
 
     def map(
-        self, encoding: Encoding, chunks: Sequence[Array], on_progress: OnProgress | None = None
-    ) -> Iterator[Outcomes]:
-        """See `Evaluator.map`. Workers report complete chunks, so `on_progress` is not called."""
+        self, encoding: Encoding, jobs: Sequence[Job], on_progress: OnProgress | None = None
+    ) -> Iterator[Result]:
+        """See `Evaluator.map`. Workers report complete jobs, so `on_progress` is not called."""
         import ray
 
         # One thread per task, as many tasks as cores. Ray restarts the task of a lost worker.
-        remote = ray.remote(num_cpus=1, max_retries=-1)(evaluate)
+        remote = ray.remote(num_cpus=1, max_retries=-1)(run_job)
         shared = ray.put(encoding)
-        pending = [remote.remote(chunk, shared, threads=1) for chunk in chunks]
+        pending = [remote.remote(job, shared, threads=1) for job in jobs]
         try:
             while pending:
                 try:
-                    outcomes: Outcomes = ray.get(pending[0])
+                    result: Result = ray.get(pending[0])
                 except ray.exceptions.RayTaskError as error:
                     raise error.as_instanceof_cause() from None
                 del pending[0]
-                yield outcomes
+                yield result
         finally:
             # Cancel only pending tasks: force-cancelling a finished one crashes Ray 2.60.
             for reference in pending:

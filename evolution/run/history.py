@@ -17,7 +17,6 @@ from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.robot import Outcomes, Robot
 from caterpillar_env.task import Failure
 from evolution.config import RunConfig
-from evolution.genome import gene_values
 from evolution.run.journal import Completion, Evaluation, Journal
 from evolution.run.objective import OBJECTIVES, Objective, distance, find_best, score
 
@@ -36,6 +35,7 @@ class Generation(NamedTuple):
     simulated_s: float  #: simulated time of the run so far, s
     replayed: bool = False  #: whether all of its evaluations were in the journal already
     farthest_m: float = 0.0  #: largest distance so far of a robot that did not fail
+    stopped: int = 0  #: number of genomes of this generation that racing stopped early
 
 
 class History:
@@ -189,6 +189,7 @@ class History:
             "evaluation": np.array([e.number for e in self.evaluations], dtype=np.int64),
             "generation": np.array([e.generation for e in self.evaluations], dtype=np.int64),
             "failure": [e.failure.label for e in self.evaluations],
+            "stopped": outcomes.stopped,
             "fitness": fitness,
             "distance_m": outcomes.distance_m,
             "energy_j": outcomes.energy_j,
@@ -206,7 +207,7 @@ class History:
         names = [gene.name for gene in self.config.encoding.genes]
         if not genomes:
             return names, np.empty((0, len(names)))
-        return names, gene_values(*self.config.encoding.decode(np.array(genomes)))
+        return names, self.config.encoding.values(np.array(genomes))
 
     def replay(self, genomes: Array) -> int:
         """Return how many genomes (P, n) of the next generation are in the journal already.
@@ -295,7 +296,8 @@ class History:
                 evaluations=completion.evaluations,
                 simulated_s=self.simulated_s + float(outcomes.simulated_s.sum()),
                 replayed=replayed,
-                farthest_m=max(self.farthest_m, float(crawled_m.max())),
+                farthest_m=max(self.farthest_m, crawled_m[~outcomes.stopped].max(initial=0.0)),
+                stopped=int(outcomes.stopped.sum()),
             )
         )
         return outcomes

@@ -16,10 +16,11 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import make_folder
 from evolution.config import RunConfig
 from evolution.optimizers.base import Optimizer
-from evolution.run.evaluators import CHUNK, Evaluator, LocalEvaluator, OnProgress
+from evolution.run.evaluators import Evaluator, Job, LocalEvaluator, OnProgress, run_jobs, split
 from evolution.run.history import Generation, History
 from evolution.run.journal import Journal, fingerprint
 from evolution.run.objective import Objective, score
+from evolution.run.racing import race
 
 
 def evolve(
@@ -145,17 +146,15 @@ def _evaluate(
     history: History, genomes: Array, evaluator: Evaluator, on_progress: OnProgress | None
 ) -> None:
     """Evaluate and record genomes (P, n), one chunk at a time."""
-    chunks = [genomes[i : i + CHUNK] for i in range(0, len(genomes), CHUNK)]
-    done = 0
-
-    def report(share: float) -> None:
-        if on_progress is not None:
-            on_progress((done + share * min(CHUNK, len(genomes) - done)) / len(genomes))
-
-    results = evaluator.map(history.config.encoding, chunks, report)
-    for chunk, outcomes in zip(chunks, results, strict=True):
-        history.append(chunk, outcomes)
-        done += len(chunk)
+    config = history.config
+    if not len(genomes):
+        return
+    if config.race_share < 1.0:
+        history.append(genomes, race(genomes, config, history.objective, evaluator, on_progress))
+        return
+    jobs = [Job(chunk) for chunk in split(genomes)]
+    for job, result in zip(jobs, run_jobs(evaluator, config.encoding, jobs, on_progress), strict=True):
+        history.append(job.genomes, result.outcomes)
 
 
 def _name(part: Any) -> str | None:

@@ -59,10 +59,11 @@ def score(objective: Objective, outcomes: Outcomes, failed_fitness: float) -> Ar
 def find_best(objective: Objective, outcomes: Outcomes) -> tuple[int, float] | None:
     """Return the index of the best of P robots and its objective, or None if no robot qualifies.
 
-    This is the only definition of "best". Robots that failed do not qualify. With a built-in
-    objective, neither do robots that did not crawl forwards. Ties go to the first robot.
+    This is the only definition of "best". Robots that failed or were stopped early do not qualify. With
+    a built-in objective, neither do robots that did not crawl forwards. Ties go to the first robot.
     """
     values = score(objective, outcomes, -np.inf)
+    values[outcomes.stopped] = -np.inf
     if objective in OBJECTIVES.values():
         values[values <= 0] = -np.inf
     top = int(np.argmax(values))

@@ -202,7 +202,7 @@ def test_evolve_writes_journal_figures_and_page(recorded):
     assert {p.name for p in recorded.iterdir()} == {
         "journal.sqlite", ".lock", "best.json", "convergence.png", "gait.png", "report.html",
     }  # fmt: skip
-    assert load(recorded).table().shape == (4 + 3, 8 + 20)
+    assert load(recorded).table().shape == (4 + 3, 9 + 20)
 
 
 def test_replay_of_a_record_is_identical(recorded, capsys):

@@ -13,15 +13,16 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes
 from evolution.genome import Encoding
-from evolution.run.evaluators import LocalEvaluator, RayEvaluator, evaluate
+from evolution.run.evaluators import Job, LocalEvaluator, RayEvaluator, evaluate
 
 ENCODING = Encoding(Physics(num_segments=2, timestep_s=0.01), gait_period_s=2.0)
 GENOMES = np.random.default_rng(0).random((12, 12))
-CHUNKS = [GENOMES[:5], GENOMES[5:6], GENOMES[6:]]
+JOBS = [Job(GENOMES[:5]), Job(GENOMES[5:6]), Job(GENOMES[6:])]
 
 
-def joined(parts):
-    return Outcomes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+def joined(results):
+    columns = zip(*(result.outcomes for result in results), strict=True)
+    return Outcomes(*(np.concatenate(column) for column in columns))
 
 
 def same(one, other):
@@ -36,13 +37,13 @@ def reference():
 @pytest.mark.parametrize("threads", [1, 2, 4])
 def test_threads_and_chunks_do_not_matter(reference, threads):
     with LocalEvaluator(threads) as evaluator:
-        assert same(joined(evaluator.map(ENCODING, CHUNKS)), reference)
+        assert same(joined(evaluator.map(ENCODING, JOBS)), reference)
 
 
 def test_progress_runs_to_the_end_of_each_chunk():
     shares = []
     with LocalEvaluator(1) as evaluator:
-        for _ in evaluator.map(ENCODING, CHUNKS[:2], shares.append):
+        for _ in evaluator.map(ENCODING, JOBS[:2], shares.append):
             assert shares[-1] == pytest.approx(1.0)
     assert shares == 2 * sorted(set(shares)), "each chunk is reported in increasing steps"
     assert len(set(shares)) >= 10
@@ -71,7 +72,7 @@ def cluster():
 @needs_ray
 def test_ray_gives_the_same_bits_in_the_same_order(cluster, reference):
     with RayEvaluator() as evaluator:
-        assert same(joined(evaluator.map(ENCODING, CHUNKS)), reference)
+        assert same(joined(evaluator.map(ENCODING, JOBS)), reference)
 
 
 class KillsItsWorkers(Encoding):
@@ -95,12 +96,12 @@ def test_chunk_of_a_killed_worker_is_evaluated_again(cluster, reference, tmp_pat
     KillsItsWorkers.marks = tmp_path
     with RayEvaluator() as evaluator:
         results = list(
-            evaluator.map(KillsItsWorkers(ENCODING.physics, ENCODING.gait_period_s), [GENOMES] * 4)
+            evaluator.map(KillsItsWorkers(ENCODING.physics, ENCODING.gait_period_s), [Job(GENOMES)] * 4)
         )
     killed = {path.read_text() for path in tmp_path.iterdir()}
     assert len(killed) == 2
     assert len(results) == 4
-    assert all(same(outcomes, reference) for outcomes in results)
+    assert all(same(result.outcomes, reference) for result in results)
 
 
 @needs_ray
@@ -108,7 +109,7 @@ def test_an_exception_on_a_worker_is_raised(cluster):
     genomes = np.full((4, 12), 0.5)
     genomes[2, 0] = 7.0
     with RayEvaluator() as evaluator, pytest.raises(CaterpillarError, match="genes must lie in"):
-        list(evaluator.map(ENCODING, [genomes]))
+        list(evaluator.map(ENCODING, [Job(genomes)]))
 
 
 def test_an_address_without_a_cluster_is_told():

@@ -16,6 +16,7 @@ from evolution.run.history import load
 RUN = """
 import sys
 from pathlib import Path
+import evolution.run.evaluators as evaluators
 import evolution.run.loop as run
 from caterpillar_env.physics import Physics
 from evolution.run.evaluators import LocalEvaluator
@@ -24,7 +25,7 @@ from evolution.optimizers.ga import GaConfig
 
 folder, optimizer = Path(sys.argv[1]), sys.argv[2]
 target_m = float(sys.argv[3]) if sys.argv[3:] else None
-run.CHUNK = 4
+evaluators.CHUNK = 4
 config = run.RunConfig(
     seed=7, generations=14, optimizer=optimizer, physics=Physics(num_segments=2, timestep_s=0.01),
     ga=GaConfig(population=14, hall_of_fame=2), cma=CmaConfig(cma_population=12),
@@ -32,11 +33,11 @@ config = run.RunConfig(
 )
 
 class Logged(LocalEvaluator):
-    def map(self, task, chunks, on_progress=None):
-        for chunk in chunks:
+    def map(self, encoding, jobs, on_progress=None):
+        for job in jobs:
             with (folder.parent / f"{folder.name}.log").open("a") as log:
-                print(len(chunk), file=log)
-            yield from super().map(task, [chunk], on_progress)
+                print(len(job.genomes), file=log)
+            yield from super().map(encoding, [job], on_progress)
 
 begun = (folder / "journal.sqlite").exists()
 if begun:

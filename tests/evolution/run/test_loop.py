@@ -75,8 +75,8 @@ def test_generations_out_of_the_record_are_those_that_were_told(run):
 def test_columns_are_the_outcome_and_all_genes_by_name(run):
     folder, _ = run
     assert load(folder).table().columns == [
-        "evaluation", "generation", "failure", "fitness", "distance_m", "energy_j", "simulated_s",
-        "session", *NAMES,
+        "evaluation", "generation", "failure", "stopped", "fitness", "distance_m", "energy_j",
+        "simulated_s", "session", *NAMES,
         "gap1_dorsal_on_s", "gap1_dorsal_off_s", "gap1_ventral_on_s", "gap1_ventral_off_s",
     ]  # fmt: skip
 
@@ -291,7 +291,7 @@ def test_folder_below_a_file_is_refused(tmp_path):
 def test_default_run_is_the_papers():
     config = RunConfig()
     assert (config.generations, config.ga.population, config.ga.hall_of_fame) == (50, 200, 10)
-    assert (config.prior, config.floor_ratio) == ("preprocessed", 3.0)
+    assert (config.prior, config.floor_ratio) == ("body", 3.0)
     assert config.evaluations() == 9_510  # 200 + 49 * 190
     assert RunConfig(generations=114).evaluations() == 21_670
 
@@ -308,16 +308,16 @@ def kinds(config, use="init"):
 
 
 def test_prior_may_serve_the_first_draw_or_mutation_alone():
-    assert kinds(RunConfig(prior="init-only")) == {Uniform, ClippedGaussian}
-    assert kinds(RunConfig(prior="init-only"), "mutation") == {Uniform}
-    assert kinds(RunConfig(prior="mutation-only")) == {Uniform}
-    assert kinds(RunConfig(prior="mutation-only"), "mutation") == {Uniform, ClippedGaussian}
+    assert kinds(RunConfig(prior_use="init")) == {Uniform, ClippedGaussian}
+    assert kinds(RunConfig(prior_use="init"), "mutation") == {Uniform}
+    assert kinds(RunConfig(prior_use="mutation")) == {Uniform}
+    assert kinds(RunConfig(prior_use="mutation"), "mutation") == {Uniform, ClippedGaussian}
 
 
-@pytest.mark.parametrize(("prior", "informed"), [("init-only", 0), ("mutation-only", 1)])
-def test_optimizer_is_given_either_half_of_the_prior(prior, informed):
+@pytest.mark.parametrize(("use", "informed"), [("init", 0), ("mutation", 1)])
+def test_optimizer_is_given_either_half_of_the_prior(use, informed):
     everything_mutates = GaConfig(population=300, hall_of_fame=1, mutation_rate=1.0)
-    optimizer = RunConfig(prior=prior, ga=everything_mutates).make_optimizer()
+    optimizer = RunConfig(prior_use=use, ga=everything_mutates).make_optimizer()
     asked = [optimizer.ask()]
     optimizer.tell(asked[0], np.ones(300))
     asked.append(optimizer.ask())
@@ -327,12 +327,28 @@ def test_optimizer_is_given_either_half_of_the_prior(prior, informed):
 
 
 def test_mirrored_prior_puts_every_peak_at_the_other_end():
-    pairs = zip(RunConfig().distributions(), RunConfig(prior="mirrored").distributions(), strict=True)
+    pairs = zip(
+        RunConfig().distributions(), RunConfig(prior_control="mirrored").distributions(), strict=True
+    )
     for one, other in pairs:
         if one == Uniform():
             assert other == Uniform()
         else:
             assert (other.mu, other.sigma) == (1 - one.mu, one.sigma)
+
+
+@pytest.mark.parametrize(
+    ("former", "now"),
+    [
+        ("preprocessed", {"prior": "body"}),
+        ("init-only", {"prior": "body", "prior_use": "init"}),
+        ("mutation-only", {"prior": "body", "prior_use": "mutation"}),
+        ("mirrored", {"prior": "body", "prior_control": "mirrored"}),
+        ("uniform", {"prior": "uniform"}),
+    ],
+)
+def test_priors_of_earlier_versions_are_read(former, now):
+    assert RunConfig.from_dict({"prior": former}) == RunConfig(**now)
 
 
 def test_clamped_prior_keeps_peaks_and_widths():
@@ -361,7 +377,10 @@ def test_configuration_survives_json():
     [
         ({"seed": -1}, "seed = -1"),
         ({"optimizer": "hopes"}, "optimizer = 'hopes' must be one of ga, cma-es, random"),
-        ({"optimizer": "cma-es", "prior": "init-only"}, "choose preprocessed, uniform or mirrored"),
+        ({"optimizer": "cma-es", "prior_use": "init"}, "prior_use = 'init' needs the genetic algorithm"),
+        ({"race_share": 0.0}, "race_share = 0.0 must lie in"),
+        ({"race_share": 0.5, "race_periods": 6}, "race_periods = 6 of 5 s must end before"),
+        ({"timing": "wave", "genome": "full"}, "choose timing = 'phase' or genome = 'shared'"),
         ({"genome": "half"}, "genome = 'half' must be one of shared, full, per-segment"),
         ({"objective": "speed"}, "objective = 'speed'"),
         ({"clipping": "cut"}, "clipping = 'cut'"),
@@ -457,7 +476,7 @@ def test_a_run_can_be_made_longer_and_not_shorter(tmp_path):
 
 
 def test_every_chunk_is_recorded_with_its_own_genomes(tmp_path, monkeypatch):
-    monkeypatch.setattr("evolution.run.loop.CHUNK", 2)
+    monkeypatch.setattr("evolution.run.evaluators.CHUNK", 2)
     proposed = CONFIG.make_optimizer().ask()
     evolve(replace(CONFIG, generations=1), tmp_path, evaluator=ONE)
     recorded = [e.genome for e in load(tmp_path).evaluations]
@@ -465,15 +484,15 @@ def test_every_chunk_is_recorded_with_its_own_genomes(tmp_path, monkeypatch):
 
 
 def test_generation_of_which_a_part_is_known_is_completed(tmp_path, monkeypatch):
-    monkeypatch.setattr("evolution.run.loop.CHUNK", 2)
+    monkeypatch.setattr("evolution.run.evaluators.CHUNK", 2)
     whole = evolve(CONFIG, tmp_path / "whole", evaluator=ONE)
     seen = []
 
     class Dies(LocalEvaluator):
-        def map(self, task, chunks, on_progress=None):
-            for outcomes in super().map(task, chunks, on_progress):
-                yield outcomes
-                seen.append(len(outcomes.failure))
+        def map(self, encoding, jobs, on_progress=None):
+            for result in super().map(encoding, jobs, on_progress):
+                yield result
+                seen.append(len(result.outcomes.failure))
                 raise KeyboardInterrupt
 
     assert not evolve(CONFIG, tmp_path / "part", evaluator=Dies(1)).finished

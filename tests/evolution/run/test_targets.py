@@ -20,7 +20,7 @@ from evolution.config import RunConfig
 from evolution.optimizers.cma_es import CmaConfig
 from evolution.optimizers.ga import GaConfig
 from evolution.report import run_page
-from evolution.run.evaluators import LocalEvaluator
+from evolution.run.evaluators import LocalEvaluator, Result
 from evolution.run.history import load
 from evolution.run.journal import FILE
 from evolution.run.loop import evolve, resume
@@ -115,13 +115,13 @@ def test_a_run_that_is_resumed_before_its_target_ends_where_it_would_have(whole,
 @pytest.mark.parametrize("kind", ["ga", "cma-es"])
 def test_a_generation_in_which_the_target_is_reached_is_completed(whole, tmp_path, monkeypatch, kind):
     """The run stops after every genome, also after the one that reaches the target."""
-    monkeypatch.setattr("evolution.run.loop.CHUNK", 1)
+    monkeypatch.setattr("evolution.run.evaluators.CHUNK", 1)
     found = whole(kind)
 
     class Stops(LocalEvaluator):
-        def map(self, task, chunks, on_progress=None):
-            yield from super().map(task, chunks[:1], on_progress)
-            if len(chunks) > 1:
+        def map(self, encoding, jobs, on_progress=None):
+            yield from super().map(encoding, jobs[:1], on_progress)
+            if len(jobs) > 1:
                 raise KeyboardInterrupt
 
     result = evolve(found.targeted, tmp_path, evaluator=Stops(1))
@@ -218,9 +218,9 @@ class Told(LocalEvaluator):
         super().__init__(1)
         self.outcomes = outcomes
 
-    def map(self, task, chunks, on_progress=None):
-        for _ in chunks:
-            yield self.outcomes
+    def map(self, encoding, jobs, on_progress=None):
+        for _ in jobs:
+            yield Result(self.outcomes, None)
 
 
 def test_a_failure_reaches_no_target_and_the_objective_does_not_matter(tmp_path):

@@ -1,0 +1,56 @@
+"""Racing: after a few gait periods, only the best share of a generation is simulated to the end.
+
+The other robots are stopped early. This is not a failure: their outcomes are those at that time, and
+`Outcomes.stopped` marks them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from caterpillar_env.arrays import Array, Rows
+from caterpillar_env.robot import Outcomes
+from caterpillar_env.task import EPISODE_S, CrawlState
+from evolution.config import RunConfig
+from evolution.run.evaluators import Evaluator, Job, OnProgress, run_jobs, split
+from evolution.run.objective import Objective, score
+
+
+def race(
+    genomes: Array,
+    config: RunConfig,
+    objective: Objective,
+    evaluator: Evaluator,
+    on_progress: OnProgress | None = None,
+) -> Outcomes:
+    """Evaluate a generation of genomes (P, n), and stop those early that are behind.
+
+    The robots that go on continue from their state, so that nothing is simulated twice.
+    """
+    encoding, stop_s = config.encoding, config.race_periods * config.gait_period_s
+    goal = math.ceil(config.race_share * len(genomes))
+    first_s = stop_s * len(genomes)
+    half = first_s / (first_s + (EPISODE_S - stop_s) * goal)  # share of the work
+    jobs = [Job(chunk, stop_s) for chunk in split(genomes)]
+    results = list(run_jobs(evaluator, encoding, jobs, on_progress, 0.0, half))
+    columns = zip(*(r.outcomes for r in results), strict=True)
+    outcomes = Outcomes(*(np.concatenate(column) for column in columns))
+    states = CrawlState.join([r.end for r in results if r.end is not None])
+    ahead = leaders(score(objective, outcomes, -np.inf), goal)
+    jobs = [Job(genomes[rows], EPISODE_S, stop_s, states.rows(rows)) for rows in split(ahead)]
+    finished = run_jobs(evaluator, encoding, jobs, on_progress, half)
+    for rows, result in zip(split(ahead), finished, strict=True):
+        for name, values in result.outcomes._asdict().items():
+            getattr(outcomes, name)[rows] = values
+    return outcomes
+
+
+def leaders(fitness: Array, count: int) -> Rows:
+    """Return the indices of the best `count` robots, ascending. Robots with -inf never lead.
+
+    Ties go to the first robot.
+    """
+    best = np.argsort(-fitness, kind="stable")[:count]
+    return np.sort(best[fitness[best] > -np.inf])

@@ -1,0 +1,115 @@
+"""Racing: the best share of a generation goes on, and everything else stays as it was."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from caterpillar_env.task import Failure
+from evolution import History, RunConfig, evolve, resume
+from evolution.optimizers.ga import GaConfig
+from evolution.run.evaluators import Job, LocalEvaluator, evaluate, run_job
+from evolution.run.objective import distance, find_best
+from evolution.run.racing import leaders, race
+
+CONFIG = RunConfig(
+    generations=2, timing="wave", ga=GaConfig(population=7, hall_of_fame=1), race_share=0.3
+)
+ENCODING = CONFIG.encoding
+GENOMES = np.random.default_rng(0).random((7, 12))
+
+
+@pytest.fixture(scope="module")
+def complete():
+    return evaluate(GENOMES, ENCODING, threads=1)
+
+
+@pytest.fixture(scope="module")
+def raced():
+    return race(GENOMES, CONFIG, distance, LocalEvaluator(1))
+
+
+def test_leaders_are_the_best_in_order_of_their_index():
+    fitness = np.array([0.1, 0.5, 0.3, 0.5, -np.inf])
+    assert leaders(fitness, 2).tolist() == [1, 3]
+    assert leaders(fitness, 3).tolist() == [1, 2, 3]
+    assert leaders(np.full(3, 0.2), 2).tolist() == [0, 1]  # ties go to the first
+    assert leaders(fitness, 5).tolist() == [0, 1, 2, 3]  # a failed robot never leads
+
+
+def test_robots_that_go_on_end_as_without_a_race(raced, complete):
+    finished = ~raced.stopped & (raced.failure == Failure.NONE)
+    assert finished.sum() == 3  # 0.3 of 7, rounded up
+    for one, other in zip(raced, complete, strict=True):
+        np.testing.assert_array_equal(one[finished], other[finished])
+
+
+def test_other_robots_stop_after_two_periods_with_what_they_did(raced):
+    early = run_job(Job(GENOMES, 10.0), ENCODING, threads=1).outcomes
+    stopped = raced.stopped
+    assert stopped.any()
+    assert set(raced.simulated_s[stopped]) == {10.0}
+    for one, other in zip(raced, early, strict=True):
+        np.testing.assert_array_equal(one[stopped], other[stopped])
+
+
+def test_robots_that_go_on_were_ahead(raced):
+    early = run_job(Job(GENOMES, 10.0), ENCODING, threads=1).outcomes
+    assert early.fitness()[~raced.stopped].min() >= early.fitness()[raced.stopped].max()
+
+
+def test_seconds_are_those_that_were_simulated(raced, complete):
+    expected = np.where(raced.stopped, 10.0, complete.simulated_s)
+    np.testing.assert_array_equal(raced.simulated_s, expected)
+
+
+def test_state_in_mid_episode_continues_bit_for_bit(complete):
+    half = run_job(Job(GENOMES, 12.3), ENCODING, threads=1)
+    rows = np.array([5, 1, 2])
+    rest = run_job(Job(GENOMES[rows], 30.0, 12.3, half.end.rows(rows)), ENCODING, threads=2)
+    for one, other in zip(rest.outcomes, complete, strict=True):
+        np.testing.assert_array_equal(one, other[rows])
+
+
+def test_stopped_robot_is_never_the_best(raced):
+    farther = raced._replace(distance_m=np.where(raced.stopped, 9.0, raced.distance_m))
+    index, value = find_best(distance, farther)
+    assert not raced.stopped[index]
+    assert value < 9.0
+
+
+def test_progress_rises_to_one(raced):
+    shares = []
+    race(GENOMES, CONFIG, distance, LocalEvaluator(1), shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
+
+
+def test_run_is_the_same_for_any_number_of_threads_and_after_a_stop(tmp_path):
+    whole = evolve(CONFIG, tmp_path / "whole", evaluator=LocalEvaluator(2))
+    evolve(replace(CONFIG, generations=1), tmp_path / "parts", evaluator=LocalEvaluator(1))
+    parts = resume(tmp_path / "parts", generations=2, evaluator=LocalEvaluator(1))
+    one, other = (history.table().drop("session") for history in (whole, parts))
+    assert one.equals(other)
+    assert [g.stopped for g in whole.generations] == [
+        rows["stopped"].sum() for _, rows in whole.table().group_by("generation", maintain_order=True)
+    ]
+    assert whole.generations[0].stopped > 0
+    assert History.read(tmp_path / "whole").best.number == whole.best.number
+
+
+class Cut(LocalEvaluator):
+    """Stops in the second part of the first race."""
+
+    def map(self, encoding, jobs, on_progress=None):
+        if jobs and jobs[0].start is not None:
+            raise KeyboardInterrupt
+        yield from super().map(encoding, jobs, on_progress)
+
+
+def test_interrupted_race_is_run_again(tmp_path):
+    cut = evolve(CONFIG, tmp_path / "cut", evaluator=Cut(1))
+    assert not cut.evaluations
+    whole = evolve(CONFIG, tmp_path / "whole", evaluator=LocalEvaluator(1))
+    again = resume(tmp_path / "cut", evaluator=LocalEvaluator(1))
+    assert again.table().drop("session").equals(whole.table().drop("session"))
