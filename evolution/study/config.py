@@ -54,6 +54,7 @@ class StudyConfig:
     generation: int = 50  #: arms with the reference's algorithm are also compared at this generation
     #: Thresholds as shares of the median final distance of the reference's pilot runs.
     threshold_shares: tuple[float, ...] = (0.5, 0.75, 1.0)
+    thresholds_m: tuple[float, ...] = ()  #: thresholds in m, instead of shares and pilot runs
     #: `base` and `arms` as given to `from_dict`.
     sources: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
@@ -73,7 +74,8 @@ class StudyConfig:
         for name in ("seeds", "pilot_seeds"):
             seeds = getattr(self, name)
             valid = isinstance(seeds, tuple) and all(isinstance(s, int) and s >= 0 for s in seeds)
-            if not valid or not seeds or len(set(seeds)) < len(seeds):
+            needed = name == "seeds" or not self.thresholds_m
+            if not valid or (needed and not seeds) or len(set(seeds)) < len(seeds):
                 raise CaterpillarError(
                     f"{name} must be a list of different integers from 0; got {seeds!r}"
                 )
@@ -89,10 +91,14 @@ class StudyConfig:
             )
         if not isinstance(self.generation, int) or self.generation < 0:
             raise CaterpillarError(f"generation = {self.generation!r} must be an integer from 0")
-        shares = self.threshold_shares
-        if not isinstance(shares, tuple) or not shares or not all(0 < s < np.inf for s in shares):
+        for name in ("threshold_shares", "thresholds_m"):
+            values, needed = getattr(self, name), name == "threshold_shares"
+            valid = isinstance(values, tuple) and all(0 < value < np.inf for value in values)
+            if not valid or (needed and not values):
+                raise CaterpillarError(f"{name} must be a list of positive numbers; got {values!r}")
+        if self.thresholds_m and self.pilot_seeds:
             raise CaterpillarError(
-                f"threshold_shares must be a list of positive numbers; got {shares!r}"
+                "thresholds_m replaces the pilot runs; remove pilot_seeds, or thresholds_m"
             )
 
     @classmethod
@@ -161,7 +167,7 @@ def read_toml(path: Path) -> StudyConfig:
 
 
 def preset(name: str) -> StudyConfig:
-    """Read a study of this package: paper, ablation, pilot or rl-pilot."""
+    """Read a study of this package: paper, ablation, search, pilot or rl-pilot."""
     return read_toml(Path(__file__).with_name("presets") / f"{name}.toml")
 
 
@@ -176,7 +182,7 @@ def begin(config: StudyConfig, folder: Path) -> None:
     file = folder / SETTINGS
     if file.exists():
         before = load(folder)
-        names = ("budget_s", "reference", "pilot_seeds", "threshold_shares")
+        names = ("budget_s", "reference", "pilot_seeds", "threshold_shares", "thresholds_m")
         changed = [name for name in names if getattr(before, name) != getattr(config, name)]
         changed += [f"arms.{a}" for a, arm in before.arms.items() if config.arms.get(a, arm) != arm]
         if changed:

@@ -20,7 +20,7 @@ from evolution.run.history import History
 from evolution.study.config import Cell, StudyConfig
 
 DATA = "evaluations.parquet"  #: name of the file with all evaluations of a study
-_OUTCOME = ("evaluation", "generation", "failure", "distance_m", "energy_j", "simulated_s")
+_OUTCOME = ("evaluation", "generation", "failure", "stopped", "distance_m", "energy_j", "simulated_s")
 
 
 class Results(NamedTuple):
@@ -125,7 +125,10 @@ def read_runs(
         spent_s = np.cumsum(rows["simulated_s"].to_numpy())
         count = int(np.searchsorted(spent_s, config.budget_s, side="right"))
         generation, failure = rows["generation"].to_numpy(), rows["failure"].to_numpy()
-        crawled_m = np.where(failure == "ok", np.maximum(rows["distance_m"].to_numpy(), 0.0), 0.0)
+        complete = failure == "ok"
+        if "stopped" in rows.columns:  # earlier versions had no racing
+            complete &= ~rows["stopped"].fill_null(value=False).to_numpy()
+        crawled_m = np.where(complete, np.maximum(rows["distance_m"].to_numpy(), 0.0), 0.0)
         runs[arm].append(
             Run(
                 seed=seed,
@@ -140,11 +143,13 @@ def read_runs(
 
 
 def read_thresholds(config: StudyConfig, folder: Path, table: polars.DataFrame) -> list[float] | None:
-    """Return the threshold distances (m). They are written into a file once, and never change.
+    """Return the threshold distances (m). Those from pilot runs are written into a file once.
 
     Returns:
         None until all pilot runs are finished, or an empty list if most of them never crawled forwards.
     """
+    if config.thresholds_m:
+        return list(config.thresholds_m)
     file = folder / "thresholds.json"
     if file.exists():
         kept: list[float] = json.loads(file.read_text(encoding="utf-8"))["thresholds_m"]

@@ -4,10 +4,12 @@ import json
 import re
 from pathlib import Path
 
+import polars
 import pytest
 
 from caterpillar_env.errors import CaterpillarError
 from evolution.study.config import Cell, StudyConfig, begin, preset, read_toml
+from evolution.study.results import read_thresholds
 
 SMALL = {
     "seeds": [0, 1],
@@ -141,3 +143,21 @@ def test_folder_with_other_files_is_rejected(tmp_path):
 def test_unusable_studies_are_rejected(data, message):
     with pytest.raises(CaterpillarError, match=re.escape(message)):
         StudyConfig.from_dict(data)
+
+
+def test_thresholds_in_metres_need_no_pilot_runs(tmp_path):
+    config = StudyConfig.from_dict(changed(pilot_seeds=[], thresholds_m=[0.13, 0.2]))
+    assert len(config.cells()) == 2 * 2
+    assert read_thresholds(config, tmp_path, polars.DataFrame()) == [0.13, 0.2]
+    with pytest.raises(CaterpillarError, match="thresholds_m replaces the pilot runs"):
+        StudyConfig.from_dict(changed(thresholds_m=[0.13]))
+    with pytest.raises(CaterpillarError, match="thresholds_m must be a list of positive numbers"):
+        StudyConfig.from_dict(changed(pilot_seeds=[], thresholds_m=[-1]))
+
+
+def test_search_study_compares_with_the_uniform_genetic_algorithm():
+    config = preset("search")
+    reference = config.arms["ga-uniform"].config
+    assert (reference.prior, reference.timing, reference.race_share) == ("uniform", "on-off", 1.0)
+    assert {arm.config.timing for arm in config.arms.values()} >= {"on-off", "wave"}
+    assert len(config.seeds) == 30

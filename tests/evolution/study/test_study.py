@@ -267,6 +267,25 @@ def test_evaluations_beyond_the_budget_do_not_count():
     assert run.best_m.tolist() == [0.01, 0.01, 0.01]
 
 
+def test_robots_that_racing_stopped_reach_no_distance():
+    config = StudyConfig.from_dict(changed(budget_s=100))
+    frame = polars.DataFrame(
+        {
+            "arm": ["cma-es"] * 3,
+            "seed": [0] * 3,
+            "evaluation": [0, 1, 2],
+            "generation": [0, 0, 0],
+            "failure": ["ok"] * 3,
+            "stopped": [True, False, None],  # null in data of earlier versions
+            "distance_m": [0.5, 0.1, 0.2],
+            "simulated_s": [10.0, 30.0, 30.0],
+        }
+    )
+    (run,) = read_runs(frame, config, (0, 1))["cma-es"]
+    assert run.best_m.tolist() == [0.0, 0.1, 0.2]
+    assert run.spent_s.tolist() == [10.0, 40.0, 70.0]
+
+
 def test_report_is_one_page_with_all_arms(finished):
     page = (finished / "report.html").read_text()
     for arm in SMALL["arms"]:
