@@ -1,4 +1,4 @@
-"""Evolution of body and gait: the genetic algorithm of Saunders et al. (2009), CMA-ES and random search.
+"""Evolution of body and gait: the genetic algorithm of Saunders et al. (2009), and others.
 
 The public API::
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from evolution.genome import Encoding
     from evolution.optimizers.cma_es import CmaConfig
     from evolution.optimizers.ga import GaConfig
+    from evolution.optimizers.shade import ShadeConfig
     from evolution.run.evaluators import LocalEvaluator, RayEvaluator, evaluate
     from evolution.run.history import Generation, History, load
     from evolution.run.loop import evolve, resume
@@ -30,6 +31,7 @@ __all__ = [
     "LocalEvaluator",
     "RayEvaluator",
     "RunConfig",
+    "ShadeConfig",
     "evaluate",
     "evolve",
     "load",
@@ -45,6 +47,7 @@ _MODULES = {
     "LocalEvaluator": "run.evaluators",
     "RayEvaluator": "run.evaluators",
     "RunConfig": "config",
+    "ShadeConfig": "optimizers.shade",
     "evaluate": "run.evaluators",
     "evolve": "run.loop",
     "load": "run.history",

@@ -16,12 +16,13 @@ from evolution.optimizers.base import Optimizer
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
 from evolution.optimizers.random_search import RandomSearch, Sampling
+from evolution.optimizers.shade import DRAWS, Shade, ShadeConfig
 from evolution.priors import Control, Prior, make_priors
 from evolution.priors.distributions import Clipping, Distribution, Uniform
 from evolution.priors.preprocessor import Contradictions, GenePrior, check_floor_ratio
 from evolution.run.objective import ObjectiveName
 
-OptimizerName = Literal["ga", "cma-es", "random"]
+OptimizerName = Literal["ga", "cma-es", "shade", "random"]
 PriorUse = Literal["both", "init", "mutation"]
 
 #: Former names of priors, in journals and studies of earlier versions.
@@ -45,7 +46,7 @@ class RunConfig:
     generations: int = 50  #: number of generations
     budget_s: float | None = None  #: simulated seconds after which no new generation starts
     target_m: float | None = None  #: distance in m; stop once a robot reaches it without failing
-    optimizer: OptimizerName = "ga"  #: ga: the paper's genetic algorithm; random: random search
+    optimizer: OptimizerName = "ga"  #: ga: the paper's genetic algorithm; shade: differential evolution
     genome: GenomeKind = "shared"  #: full: timings per spring; per-segment: a body per segment
     timing: Timing = "on-off"  #: gait genes: times, as in the paper; delay and duty; or one wave
     prior: Prior = "body"  #: genes with a distribution from the preprocessor; body: as in the paper
@@ -62,6 +63,7 @@ class RunConfig:
     sampling: Sampling = "independent"  #: draws of random search: independent, or evenly spread (sobol)
     ga: GaConfig = field(default_factory=GaConfig)
     cma: CmaConfig = field(default_factory=CmaConfig)
+    shade: ShadeConfig = field(default_factory=ShadeConfig)
     physics: Physics = field(default_factory=Physics)
 
     def __post_init__(self) -> None:
@@ -103,7 +105,7 @@ class RunConfig:
         """
         if data.get("prior") in _FORMER_PRIORS:
             data = data | _FORMER_PRIORS[data["prior"]]
-        kinds = {"ga": GaConfig, "cma": CmaConfig, "physics": Physics}
+        kinds = {"ga": GaConfig, "cma": CmaConfig, "shade": ShadeConfig, "physics": Physics}
         made = {
             name: from_mapping(kinds[name], value, name) if name in kinds else value
             for name, value in data.items()
@@ -137,8 +139,10 @@ class RunConfig:
         first = self.distributions("init")
         if self.optimizer == "ga":
             return GeneticAlgorithm(first, self.distributions("mutation"), self.ga, rng)
+        circular = [gene.circular for gene in self.encoding.genes]
+        if self.optimizer == "shade":
+            return Shade(first, self.shade, rng, circular)
         if self.optimizer == "cma-es":
-            circular = [gene.circular for gene in self.encoding.genes]
             return CmaEs(first, self.cma, rng, circular)
         return RandomSearch(first, self.ga.population, self.sampling, rng)
 
@@ -149,6 +153,8 @@ class RunConfig:
             return ga.population + (self.generations - 1) * (ga.population - ga.elites)
         if self.optimizer == "random":
             return ga.population * self.generations
+        if self.optimizer == "shade":
+            return self.shade.shade_population * (self.generations - 1 + DRAWS)
         default = 4 + int(3 * np.log(len(self.encoding.genes)))
         return (self.cma.cma_population or default) * self.generations
 

@@ -6,6 +6,7 @@ import pytest
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
 from evolution.optimizers.random_search import RandomSearch
+from evolution.optimizers.shade import Shade, ShadeConfig
 from evolution.priors.distributions import Uniform
 
 DIMENSIONS = 6
@@ -51,6 +52,11 @@ def ga(seed=0):
     return GeneticAlgorithm(genes, genes, GaConfig(population=100), np.random.default_rng(seed))
 
 
+def shade(seed=0):
+    genes = [Uniform()] * DIMENSIONS
+    return Shade(genes, ShadeConfig(30), np.random.default_rng(seed))
+
+
 def random_search(seed=0):
     return RandomSearch([Uniform()] * DIMENSIONS, 100, "independent", np.random.default_rng(seed))
 
@@ -63,6 +69,16 @@ def test_cma_es_finds_the_known_optimum(problem, optimum, evaluations):
     value, where = least(cma_es(), problem, evaluations)
     assert value < 1e-9
     np.testing.assert_allclose(where, optimum, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("problem", "optimum", "evaluations"),
+    [(sphere, 0.3, 6_000), (rosenbrock, 0.75, 20_000), (rastrigin, 0.6, 20_000)],
+)
+def test_shade_finds_the_known_optimum(problem, optimum, evaluations):
+    value, where = least(shade(), problem, evaluations)
+    assert value < 1e-6
+    np.testing.assert_allclose(where, optimum, atol=1e-3)
 
 
 @pytest.mark.parametrize(("problem", "value"), [(sphere, 0.5), (rosenbrock, 15.0), (rastrigin, 12.0)])

@@ -1,0 +1,129 @@
+"""SHADE: differential evolution with success-history adaptation (Tanabe and Fukunaga 2013)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from caterpillar_env.arrays import Array
+from caterpillar_env.errors import CaterpillarError
+from evolution.optimizers.base import GenerationalOptimizer
+from evolution.priors.distributions import Distribution
+
+DRAWS = 2  #: draws from the distributions for each genome of the first population; the best are kept
+_MEMORY = 5  #: number of remembered pairs of scale and crossover rate
+_GREEDIEST = 0.2  #: largest share of the population from which a target is drawn
+
+
+@dataclass(frozen=True)
+class ShadeConfig:
+    """Settings of SHADE.
+
+    Raises:
+        CaterpillarError: a value is out of range.
+    """
+
+    shade_population: int = 30  #: genomes per generation
+
+    def __post_init__(self) -> None:
+        if self.shade_population < 4:
+            raise CaterpillarError(f"shade_population = {self.shade_population} must be at least 4")
+
+
+class Shade(GenerationalOptimizer):
+    """SHADE with an ask/tell interface.
+
+    Each genome x of the population proposes a trial. The trial mixes x with the mutant
+    x + F (target - x) + F (a - b), where the target is one of the best genomes, a is another genome, and
+    b is another or a former one. The trial replaces x if it is at least as good. The scale F and the
+    crossover rate follow the values that led to better genomes.
+
+    Args:
+        distributions: distribution of each gene, for the first population.
+        config: settings of SHADE.
+        rng: the only source of randomness.
+        circular: whether each gene is circular; by default, none is.
+    """
+
+    def __init__(
+        self,
+        distributions: Sequence[Distribution],
+        config: ShadeConfig,
+        rng: np.random.Generator,
+        circular: Sequence[bool] | None = None,
+    ) -> None:
+        super().__init__()
+        self._distributions, self._rng = list(distributions), rng
+        self._size = config.shade_population
+        self._circular = np.array(circular or [False] * len(distributions))
+        self._genomes = np.empty((0, len(distributions)))
+        self._fitness = np.empty(0)
+        self._former = np.empty((0, len(distributions)))  # genomes that were replaced, at most `_size`
+        self._memory = np.full((2, _MEMORY), 0.5)  # scales and crossover rates
+        self._oldest = 0  # index of the entry of the memory that changes next
+        self._used = np.empty((2, 0))  # scales and crossover rates of the last trials
+
+    def _propose(self) -> Array:
+        if not len(self._genomes):
+            count = DRAWS * self._size
+            return np.stack([d.sample(self._rng, count) for d in self._distributions], axis=1)
+        self._used = self._draw_settings()
+        scale, rate = self._used[..., None]
+        x = self._genomes
+        ahead, other = self._draw_differences()
+        mutants = x + scale * (ahead + other)
+        bounced = np.where(mutants < 0, x / 2, np.where(mutants > 1, (1 + x) / 2, mutants))
+        mutants = np.where(self._circular, mutants % 1.0, bounced)
+        mixed = self._rng.random(x.shape) < rate
+        mixed[np.arange(self._size), self._rng.integers(x.shape[1], size=self._size)] = True
+        return np.where(mixed, mutants, x)
+
+    def _learn(self, genomes: Array, fitness: Array) -> None:
+        if not len(self._genomes):
+            best = np.argsort(-fitness, kind="stable")[: self._size]
+            self._genomes, self._fitness = genomes[best], fitness[best]
+            return
+        gain = fitness - self._fitness
+        former = np.concatenate([self._former, self._genomes[gain > 0]])
+        kept = self._rng.permutation(len(former))[: self._size]
+        self._former = former[np.sort(kept)]
+        if (gain > 0).any():
+            used, weight = self._used[:, gain > 0], gain[gain > 0]
+            # The Lehmer mean favours large values, which counters early convergence.
+            self._memory[:, self._oldest] = (weight * used**2).sum(1) / (weight * used).sum(1)
+            self._oldest = (self._oldest + 1) % _MEMORY
+        better = gain >= 0
+        self._genomes = np.where(better[:, None], genomes, self._genomes)
+        self._fitness = np.where(better, fitness, self._fitness)
+
+    def _draw_settings(self) -> Array:
+        """Return the scale and the crossover rate of each trial, (2, N)."""
+        scales, rates = self._memory[:, self._rng.integers(_MEMORY, size=self._size)]
+        tails = self._rng.random(self._size)
+        # A Cauchy distribution around the remembered scale, cut at 0.
+        lowest = 0.5 - np.arctan(scales / 0.1) / np.pi
+        tails = lowest + (1 - lowest) * tails
+        drawn = scales + 0.1 * np.tan(np.pi * (tails - 0.5))
+        return np.stack([np.clip(drawn, 1e-3, 1.0), np.clip(self._rng.normal(rates, 0.1), 1e-3, 1.0)])
+
+    def _draw_differences(self) -> tuple[Array, Array]:
+        """Return the difference to a target, and that between two other genomes, (N, n) each."""
+        n, x, number = self._size, self._genomes, np.arange(self._size)
+        order = np.argsort(-self._fitness, kind="stable")
+        shares = self._rng.uniform(min(2 / n, _GREEDIEST), _GREEDIEST, n)
+        leaders = np.maximum((shares * n).astype(int), 1)
+        targets = order[(self._rng.random(n) * leaders).astype(int)]
+        one = self._rng.integers(n - 1, size=n)
+        one += one >= number  # not the genome itself
+        pool = np.concatenate([x, self._former])
+        two = self._rng.integers(len(pool) - 2, size=n)
+        for taken in np.sort([number, one], axis=0):  # neither the genome nor the first one
+            two += two >= taken
+        return self._subtract(x[targets], x), self._subtract(x[one], pool[two])
+
+    def _subtract(self, a: Array, b: Array) -> Array:
+        """Return a - b, the shorter way round for circular genes."""
+        difference = a - b
+        return np.where(self._circular, (difference + 0.5) % 1.0 - 0.5, difference)
