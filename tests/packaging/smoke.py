@@ -35,7 +35,7 @@ from evolution.study.config import preset  # noqa: E402
 assert len(preset("pilot").cells()) > 1, "a preset was not packed"
 
 command = Path(sys.executable).with_name("caterpillar")
-run = [command, "evolve", "--preset", "quick", "--population", "4", "--hall-of-fame", "1"]
+run = [command, "evolve", "--preset", "quick", "--shade-population", "4"]
 subprocess.run([*run, "--generations", "2", "--out", here / "run"], check=True)
 subprocess.run([command, "replay", here / "run", "--no-video"], check=True)
 assert (here / "run" / "best.mp4").stat().st_size > 10_000

@@ -17,7 +17,7 @@ SITE = [page for page in sorted((ROOT / "docs").rglob("*.md")) if "_build" not i
 PAGES = [*SITE, *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"))]
 #: Flags that shorten the commands of a page; they override earlier ones.
 SHORT = {
-    "evolve": "--generations 1 --population 4 --cma-population 4 --no-video",
+    "evolve": "--generations 1 --population 4 --cma-population 4 --shade-population 4 --no-video",
     "resume": "--generations 2 --no-video",
     "replay": "--speed 300 --width 128 --height 96",
     "view": "--help",  # the server would run until Ctrl-C

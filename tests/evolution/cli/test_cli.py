@@ -14,7 +14,7 @@ from evolution.run.history import load
 
 MAIN = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); \
 from evolution.cli import main; sys.exit(main())"
-QUICK = ["evolve", "--preset", "quick", "--population", "4", "--hall-of-fame", "1", "--generations", "2"]
+QUICK = ["evolve", "--population", "4", "--hall-of-fame", "1", "--generations", "2"]
 TINY = [
     "evolve", "--num-segments", "2", "--timestep-s", "0.01", "--population", "2",
     "--hall-of-fame", "1", "--generations", "1", "--no-video",

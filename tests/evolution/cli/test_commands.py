@@ -42,7 +42,7 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("commands") / "run"
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        status = cli.main([*FLAGS, "--seed", "4", "--preset", "quick", "--out", str(folder)])
+        status = cli.main([*FLAGS, "--seed", "4", "--out", str(folder)])
     assert status == 0
     return folder, out.getvalue(), err.getvalue()
 
@@ -73,9 +73,10 @@ def test_quick_preset_is_small():
 @pytest.mark.parametrize(
     ("flags", "generations", "population"),
     [
-        (["--preset", "quick"], 6, 20),
-        (["--preset=quick", "--seed", "3"], 6, 20),
-        (["--generations", "2", "--preset", "quick"], 2, 20),
+        (["--preset", "quick"], 7, 15),
+        (["--preset=quick", "--seed", "3"], 7, 15),
+        (["--generations", "2", "--preset", "quick"], 2, 15),
+        (["--preset", "quick", "--shade-population", "8"], 7, 8),
         (["--preset", "paper", "--population", "10"], 50, 10),
         ([], 50, 200),
     ],
@@ -91,7 +92,9 @@ def test_preset_gives_the_defaults_of_the_other_flags(monkeypatch, flags, genera
     monkeypatch.setattr("evolution.cli.evolve.evolve", record)
     assert cli.main(["evolve", *flags]) == 130
     assert configs[0].generations == generations
-    assert configs[0].ga.population == population
+    chosen = configs[0]
+    shade = chosen.optimizer == "shade"
+    assert (chosen.shade.shade_population if shade else chosen.ga.population) == population
 
 
 def test_evolve_uses_the_given_workers(elsewhere, monkeypatch):
@@ -112,7 +115,7 @@ def test_evolve_uses_the_given_workers(elsewhere, monkeypatch):
 def test_flags_override_the_preset(run):
     folder, _, _ = run
     assert load(folder).config == CONFIG
-    assert PRESETS["quick"].generations != CONFIG.generations
+    assert PRESETS["paper"].generations != CONFIG.generations
 
 
 def test_evolve_command_and_function_record_the_same_run(run, tmp_path):
