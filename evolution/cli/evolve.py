@@ -18,7 +18,7 @@ from evolution.run.loop import evolve
 PRESETS = {
     "paper": RunConfig(),
     "quick": RunConfig(
-        generations=7,
+        generations=12,
         optimizer="shade",
         timing="wave",
         prior="body+gait",
