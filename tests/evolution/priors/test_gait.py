@@ -58,6 +58,7 @@ def test_springs_that_never_cool_do_not_advance():
     assert abs(hot[0]) < 0.002
 
 
+@pytest.mark.slow
 def test_advance_ranks_gaits_as_the_simulator_does():
     # 200 gaits give a correlation of 0.84 (see docs/evolution.md); 30 gaits vary about it.
     rng = np.random.default_rng(3)

@@ -224,7 +224,7 @@ def test_progress_runs_from_nothing_to_all_in_each_generation(tmp_path):
 
 
 def test_progress_counts_the_chunks_that_were_evaluated_before(tmp_path, monkeypatch):
-    monkeypatch.setattr("evolution.run.loop.CHUNK", 2)
+    monkeypatch.setattr("evolution.run.evaluators.CHUNK", 2)
     shares = []
     config = RunConfig(generations=1, physics=SHORT, ga=GaConfig(population=3, hall_of_fame=0))
     evolve(config, tmp_path, evaluator=ONE, on_progress=shares.append)
@@ -376,7 +376,7 @@ def test_configuration_survives_json():
     ("settings", "message"),
     [
         ({"seed": -1}, "seed = -1"),
-        ({"optimizer": "hopes"}, "optimizer = 'hopes' must be one of ga, cma-es, random"),
+        ({"optimizer": "hopes"}, "optimizer = 'hopes' must be one of ga, cma-es, shade, random"),
         ({"optimizer": "cma-es", "prior_use": "init"}, "prior_use = 'init' needs the genetic algorithm"),
         ({"race_share": 0.0}, "race_share = 0.0 must lie in"),
         ({"race_share": 0.5, "race_periods": 6}, "race_periods = 6 of 5 s must end before"),
