@@ -11,11 +11,11 @@ from benchmarks import advance
 
 @pytest.mark.slow
 def test_ranks_of_the_advance_are_compared_with_the_simulator(monkeypatch, capsys):
-    monkeypatch.setattr(advance, "WAVES", 20)
+    monkeypatch.setattr(advance, "WAVES", 10)
     advance.main()
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(":")[0] for line in lines] == ["nominal body", "random bodies"]
-    assert all("over 20 waves" in line for line in lines)
+    assert all("over 10 waves" in line for line in lines)
 
 
 @pytest.mark.slow
