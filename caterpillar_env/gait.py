@@ -112,8 +112,12 @@ class GaitTimings:
 
     def to_action(self) -> NDArray[np.float32]:
         """Return the action for these timings, shape (..., 2 n), float32; see `from_action`."""
-        times = np.stack([self.on_s, self.off_s], axis=-1).reshape(*self.on_s.shape[:-1], -1)
-        return (2.0 * times / self.period_s - 1.0).astype(np.float32)
+        return (2.0 * self.times_s / self.period_s - 1.0).astype(np.float32)
+
+    @property
+    def times_s(self) -> Array:
+        """On and off time of each spring or pair in turn, s, shape (..., 2 n)."""
+        return np.stack([self.on_s, self.off_s], axis=-1).reshape(*self.on_s.shape[:-1], -1)
 
     def mirrored(self) -> GaitTimings:
         """Return the timings of the springs from these timings of mirrored pairs."""

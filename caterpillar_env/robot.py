@@ -74,30 +74,29 @@ def simulate(
         on_progress: function to call with the simulated share of the duration, in [0, 1].
     """
     crawl = Crawl(bodies, physics, threads)
-    follow(crawl, timings, 0.0, duration_s, on_interval=on_interval, on_progress=on_progress)
+    follow(crawl, timings, duration_s, on_interval=on_interval, on_progress=on_progress)
     return Outcomes.of(crawl.progress())
 
 
 def follow(
     crawl: Crawl,
     timings: GaitTimings,
-    start_s: float,
     end_s: float,
     *,
     on_interval: OnInterval | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Advance the robots of a `Crawl` with periodic gaits, from one time since reset to another.
+    """Advance the robots of a `Crawl` with periodic gaits, until a time since their reset.
 
     Args:
-        crawl: P robots at the time `start_s`.
+        crawl: P robots. Those that have not failed are at the same time.
         timings: see `simulate`.
-        start_s: time from which to simulate, s, a multiple of 0.1 s.
         end_s: time until which to simulate, s, a multiple of 0.1 s.
         on_interval: see `simulate`.
         on_progress: function to call with the simulated share of this time, in [0, 1].
     """
     count_steps(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
+    start_s = float(crawl.progress().time_s.max())
     steps = count_steps(end_s - start_s, CONTROL_INTERVAL_S, "the duration") * STEPS_PER_INTERVAL
     power = timings.of_springs(crawl.physics.num_springs).power(SMA_STEP_S)
     before = round(start_s / SMA_STEP_S)

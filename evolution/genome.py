@@ -112,16 +112,19 @@ class Encoding:
     def _gait_genes(self) -> list[Gene]:
         if self.timing == "wave":
             return [
-                _delay("lag", "lag"),
-                _duty("dorsal_duty"),
-                _delay("offset", "offset"),
-                _duty("ventral_duty"),
+                _make_delay("lag", "lag"),
+                _make_duty("dorsal_duty"),
+                _make_delay("offset", "offset"),
+                _make_duty("ventral_duty"),
             ]
         count = self.physics.num_segments
         genes = []
         for name in spring_names(count) if self.kind == "full" else pair_names(count):
             if self.timing == "phase":
-                genes += [_delay(f"{name}_delay", _after(name)), _duty(f"{name}_duty")]
+                genes += [
+                    _make_delay(f"{name}_delay", _find_parameter(name)),
+                    _make_duty(f"{name}_duty"),
+                ]
                 continue
             for edge in ("on", "off"):
                 gene = f"{name}_{edge}_s"
@@ -159,12 +162,18 @@ class Encoding:
             CaterpillarError: see `check`.
         """
         array = self.check(genomes)
+        body_genes, gait_genes = np.split(array, [self._body_genes], axis=1)
         size = len(PARAMETERS)
-        count = self.physics.num_segments if self.kind == "per-segment" else 1
-        segments = array[:, : size * count].reshape(len(array), count, size)
+        segments = body_genes.reshape(len(array), self._body_genes // size, size)
         bodies = [tuple(Morphology.from_unit(segment) for segment in row) for row in segments]
-        timings = self._decode_gait(array[:, size * count :])
+        timings = self._decode_gait(gait_genes)
         return [body if self.kind == "per-segment" else body[0] for body in bodies], timings
+
+    @property
+    def _body_genes(self) -> int:
+        """Number of morphology genes."""
+        bodies = self.physics.num_segments if self.kind == "per-segment" else 1
+        return bodies * len(PARAMETERS)
 
     def _decode_gait(self, genes: Array) -> GaitTimings:
         period_s = self.gait_period_s
@@ -193,11 +202,11 @@ class Encoding:
             CaterpillarError: see `check`.
         """
         lower, upper = np.array([(gene.lower, gene.upper) for gene in self.genes]).T
-        values: Array = lower + self.check(genomes) * (upper - lower)
+        array = self.check(genomes)
+        values: Array = lower + array * (upper - lower)
         if self.timing == "on-off":
-            _, timings = self.decode(genomes)
-            times = np.stack([timings.on_s, timings.off_s], axis=-1).reshape(len(values), -1)
-            values[:, -times.shape[1] :] = times
+            first = self._body_genes
+            values[:, first:] = self._decode_gait(array[:, first:]).times_s
         return values
 
     def robot(self, genome: Array, **record: Any) -> Robot:
@@ -207,15 +216,15 @@ class Encoding:
         return Robot(body, gait, self.physics, **record)
 
 
-def _delay(name: str, parameter: str) -> Gene:
+def _make_delay(name: str, parameter: str) -> Gene:
     return Gene(name, "δ", "1", 0.0, 1.0, parameter, circular=True)
 
 
-def _duty(name: str) -> Gene:
+def _make_duty(name: str) -> Gene:
     return Gene(name, "D", "1", 0.0, MAX_DUTY, "duty")
 
 
-def _after(name: str) -> str:
+def _find_parameter(name: str) -> str:
     """Return the parameter that the delay of a pair or spring belongs to."""
     if name.endswith("_right"):
         return "side"
@@ -226,7 +235,7 @@ def _after(name: str) -> str:
 
 def gene_values(bodies: Sequence[Body], timings: GaitTimings) -> Array:
     """Return the values of all genes of P bodies and their gaits in SI units, (P, n)."""
-    times = np.stack([timings.on_s, timings.off_s], axis=-1).reshape(len(bodies), -1)
+    times = timings.times_s.reshape(len(bodies), -1)
     segments = [body if isinstance(body, tuple) else (body,) for body in bodies]
     values = [np.concatenate([m.to_array() for m in body]) for body in segments]
     return np.concatenate([np.reshape(values, (len(bodies), -1)), times], axis=1)

@@ -11,7 +11,7 @@ import numpy as np
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from evolution.optimizers.base import GenerationalOptimizer
-from evolution.priors.distributions import Distribution, Gaussian
+from evolution.priors.distributions import Distribution, Gaussian, draw
 
 if TYPE_CHECKING:
     import cma
@@ -78,7 +78,7 @@ class CmaEs(GenerationalOptimizer):
     def _propose(self) -> Array:
         # Equal fitness, for example if every robot fails, does not mean convergence.
         if self._config.cma_restarts and not self._is_flat and self._strategy.stop():
-            start = np.array([d.sample(self._rng, 1)[0] for d in self._distributions])
+            (start,) = draw(self._distributions, self._rng, 1)
             self._strategy = self._make_strategy(start, 2 * self._strategy.popsize)
         self._points = self._strategy.ask()
         return self._wrap(np.array(self._points))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError, check_choice
 from evolution.optimizers.base import GenerationalOptimizer
-from evolution.priors.distributions import Distribution
+from evolution.priors.distributions import Distribution, draw
 
 Crossover = Literal["uniform", "one-point", "two-point"]
 
@@ -104,7 +104,7 @@ class GeneticAlgorithm(GenerationalOptimizer):
 
     def _propose(self) -> Array:
         if not len(self._genomes):
-            return self._draw(self._initial, self._config.population)
+            return draw(self._initial, self._rng, self._config.population)
         return self._breed(self._config.population - self._config.elites)
 
     def _learn(self, genomes: Array, fitness: Array) -> None:
@@ -113,9 +113,6 @@ class GeneticAlgorithm(GenerationalOptimizer):
         scores = np.concatenate([self._fitness[:elites], fitness])
         order = np.argsort(-scores, kind="stable")  # ties go to the older genome
         self._genomes, self._fitness = population[order], scores[order]
-
-    def _draw(self, distributions: Sequence[Distribution], count: int) -> Array:
-        return np.stack([d.sample(self._rng, count) for d in distributions], axis=1)
 
     def _breed(self, count: int) -> Array:
         """Return children, (count, n). The elites are parents only if `elites_breed` is set."""
@@ -126,7 +123,7 @@ class GeneticAlgorithm(GenerationalOptimizer):
         fathers = pool[roulette(weight, count, self._rng)]
         children = np.where(self._crossover_mask(count), fathers, mothers)
         mutated = self._rng.random(children.shape) < self._config.mutation_rate
-        return np.where(mutated, self._draw(self._mutation, count), children)
+        return np.where(mutated, draw(self._mutation, self._rng, count), children)
 
     def _crossover_mask(self, count: int) -> NDArray[np.bool_]:
         """Return a mask, (count, n), of the genes that come from the second parent."""

@@ -10,7 +10,7 @@ import numpy as np
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from evolution.optimizers.base import GenerationalOptimizer
-from evolution.priors.distributions import Distribution
+from evolution.priors.distributions import Distribution, draw
 
 DRAWS = 2  #: draws from the distributions for each genome of the first population; the best are kept
 _MEMORY = 5  #: number of remembered pairs of scale and crossover rate
@@ -67,8 +67,7 @@ class Shade(GenerationalOptimizer):
 
     def _propose(self) -> Array:
         if not len(self._genomes):
-            count = DRAWS * self._size
-            return np.stack([d.sample(self._rng, count) for d in self._distributions], axis=1)
+            return draw(self._distributions, self._rng, DRAWS * self._size)
         self._used = self._draw_settings()
         scale, rate = self._used[..., None]
         x = self._genomes

@@ -39,10 +39,14 @@ def design_parameters(encoding: Encoding, prior: Prior) -> tuple[DesignParameter
     return (*body, *gait)
 
 
+def _make_wave(encoding: Encoding) -> Encoding:
+    """Return the encoding with the genes that the K_i take: those of one body and one wave."""
+    return replace(encoding, kind="shared", timing="wave")
+
+
 def searches(encoding: Encoding, prior: Prior) -> list[Search]:
     """Return the search for the maximum of each K_i of a prior."""
-    wave = replace(encoding, kind="shared", timing="wave")
-    return search_all(design_parameters(encoding, prior), wave.genes)
+    return search_all(design_parameters(encoding, prior), _make_wave(encoding).genes)
 
 
 def make_priors(
@@ -72,9 +76,8 @@ def make_priors(
     Raises:
         CaterpillarError: see `preprocess`.
     """
-    wave = replace(encoding, kind="shared", timing="wave")
     parameters = design_parameters(encoding, prior)
-    found = preprocess(parameters, wave.genes, floor_ratio, contradictions)
+    found = preprocess(parameters, _make_wave(encoding).genes, floor_ratio, contradictions)
     known = {row.gene.parameter: row for row in found}
     if "gait" in prior and encoding.timing == "on-off":
         known |= _time_priors(encoding, known)
@@ -98,18 +101,17 @@ def _time_priors(encoding: Encoding, known: dict[str, GenePrior]) -> dict[str, G
     if len(peaks) < len(shapes):
         return {}  # a contradiction leaves no best wave
     lag, offset, duty = (d.mu for d in peaks)
-    wave = replace(encoding, kind="shared", timing="wave")
+    wave = _make_wave(encoding)
     body = [0.5] * (len(wave.genes) - 4)
     _, timings = wave.decode(np.array([*body, lag, duty, offset, duty]))
     if encoding.kind == "full":
         timings = timings.mirrored()
-    times = np.stack([timings.on_s[0], timings.off_s[0]], axis=-1).ravel()
     row = replace(known["lag"], reason="best wave")
     return {
         gene.name: replace(row, distribution=WrappedGaussian(place, peaks[0].sigma))
         for gene, place in zip(
             [gene for gene in encoding.genes if gene.unit == "s"],
-            (times / timings.period_s % 1.0).tolist(),
+            (timings.times_s[0] / timings.period_s % 1.0).tolist(),
             strict=True,
         )
     }

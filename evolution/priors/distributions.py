@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -28,6 +29,11 @@ class Distribution:
     def sample(self, rng: np.random.Generator, size: int) -> Array:
         """Draw `size` values in [0, 1]."""
         return self.quantile(rng.random(size))
+
+
+def draw(distributions: Sequence[Distribution], rng: np.random.Generator, count: int) -> Array:
+    """Draw genomes, (count, n), one gene after the other."""
+    return np.stack([d.sample(rng, count) for d in distributions], axis=1)
 
 
 @dataclass(frozen=True)

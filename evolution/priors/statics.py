@@ -120,7 +120,8 @@ class PlanarChain:
         q = self.settle(fractions[0])
         positions_m = [q[0]]
         for fraction in fractions[1:]:
-            start, feet_m, load_n = q, self.locate(q).vectors_m[0, : self._feet], self.loads_n(q)
+            start, (feet_m, heights_m) = q, self.locate(q).vectors_m[:, : self._feet]
+            load_n = _load_n(heights_m)
             for _ in range(ITERATIONS):
                 q, load_n = self._improve(q, start, fraction, feet_m, load_n, interval_s)
             positions_m.append(q[0])
@@ -138,8 +139,7 @@ class PlanarChain:
 
     def loads_n(self, q: Array) -> Array:
         """Return the load on each pair of feet, (N, G)."""
-        loads: Array = FOOT_STIFFNESS_N_M * np.maximum(-self.locate(q).vectors_m[1, : self._feet], 0.0)
-        return loads
+        return _load_n(self.locate(q).vectors_m[1, : self._feet])
 
     def locate(self, q: Array) -> Geometry:
         """Return the positions of chains with the coordinates q, (n, G)."""
@@ -190,10 +190,9 @@ class PlanarChain:
         foot_x_m, foot_z_m = at.vectors_m[:, :feet]
         moved_m = foot_x_m - feet_m
         friction = self._physics.friction * load_n / np.hypot(moved_m, SLIP_M)
-        touching = foot_z_m < 0
-        load_n = -FOOT_STIFFNESS_N_M * foot_z_m * touching
+        load_n = _load_n(foot_z_m)
         force[0, :feet], force[1, :feet] = friction * moved_m, -load_n
-        stiffness[0, 0, :feet], stiffness[1, 1, :feet] = friction, FOOT_STIFFNESS_N_M * touching
+        stiffness[0, 0, :feet], stiffness[1, 1, :feet] = friction, FOOT_STIFFNESS_N_M * (load_n > 0)
         span_m = at.vectors_m[:, feet + 1 :]
         length_m = np.hypot(*span_m)
         unit = span_m / length_m
@@ -249,3 +248,9 @@ class PlanarChain:
         )
         rate = p.axial_stiffness_n_m + AXIAL_STOP_N_M * (beyond != 0) + damping
         hessian[self._slides, self._slides] += rate
+
+
+def _load_n(height_m: Array) -> Array:
+    """Return the load on feet at a height above the ground, which compresses them if it is negative."""
+    load: Array = FOOT_STIFFNESS_N_M * np.maximum(-height_m, 0.0)
+    return load

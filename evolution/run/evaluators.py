@@ -31,8 +31,7 @@ class Job(NamedTuple):
 
     genomes: Array  #: (P, n), values in [0, 1]
     end_s: float = EPISODE_S
-    start_s: float = 0.0
-    start: CrawlState | None = None  #: state of the robots at `start_s`; None means the start
+    start: CrawlState | None = None  #: state of the robots before; None means the start
 
 
 class Result(NamedTuple):
@@ -89,7 +88,7 @@ def run_job(
     crawl = Crawl(bodies, encoding.physics, threads)
     if job.start is not None:
         crawl.set_state(job.start)
-    follow(crawl, timings, job.start_s, job.end_s, on_progress=on_progress)
+    follow(crawl, timings, job.end_s, on_progress=on_progress)
     end = crawl.get_state() if job.end_s < EPISODE_S else None
     return Result(Outcomes.of(crawl.progress()), end)
 

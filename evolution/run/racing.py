@@ -39,7 +39,7 @@ def race(
     outcomes = Outcomes(*(np.concatenate(column) for column in columns))
     states = CrawlState.join([r.end for r in results if r.end is not None])
     ahead = leaders(score(objective, outcomes, -np.inf), goal)
-    jobs = [Job(genomes[rows], EPISODE_S, stop_s, states.rows(rows)) for rows in split(ahead)]
+    jobs = [Job(genomes[rows], EPISODE_S, states.rows(rows)) for rows in split(ahead)]
     finished = run_jobs(evaluator, encoding, jobs, on_progress, half)
     for rows, result in zip(split(ahead), finished, strict=True):
         for name, values in result.outcomes._asdict().items():

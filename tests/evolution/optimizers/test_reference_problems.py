@@ -62,23 +62,20 @@ def random_search(seed=0):
 
 
 @pytest.mark.parametrize(
-    ("problem", "optimum", "evaluations"),
-    [(sphere, 0.3, 2_000), (rosenbrock, 0.75, 6_000), (rastrigin, 0.6, 40_000)],
+    ("make", "problem", "optimum", "evaluations", "value", "near"),
+    [
+        (cma_es, sphere, 0.3, 2_000, 1e-9, 1e-5),
+        (cma_es, rosenbrock, 0.75, 6_000, 1e-9, 1e-5),
+        (cma_es, rastrigin, 0.6, 40_000, 1e-9, 1e-5),
+        (shade, sphere, 0.3, 6_000, 1e-6, 1e-3),
+        (shade, rosenbrock, 0.75, 20_000, 1e-6, 1e-3),
+        (shade, rastrigin, 0.6, 20_000, 1e-6, 1e-3),
+    ],
 )
-def test_cma_es_finds_the_known_optimum(problem, optimum, evaluations):
-    value, where = least(cma_es(), problem, evaluations)
-    assert value < 1e-9
-    np.testing.assert_allclose(where, optimum, atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("problem", "optimum", "evaluations"),
-    [(sphere, 0.3, 6_000), (rosenbrock, 0.75, 20_000), (rastrigin, 0.6, 20_000)],
-)
-def test_shade_finds_the_known_optimum(problem, optimum, evaluations):
-    value, where = least(shade(), problem, evaluations)
-    assert value < 1e-6
-    np.testing.assert_allclose(where, optimum, atol=1e-3)
+def test_the_known_optimum_is_found(make, problem, optimum, evaluations, value, near):
+    found, where = least(make(), problem, evaluations)
+    assert found < value
+    np.testing.assert_allclose(where, optimum, atol=near)
 
 
 @pytest.mark.parametrize(("problem", "value"), [(sphere, 0.5), (rosenbrock, 15.0), (rastrigin, 12.0)])

@@ -69,7 +69,7 @@ def test_seconds_are_those_that_were_simulated(raced, complete):
 def test_state_in_mid_episode_continues_bit_for_bit(complete):
     half = run_job(Job(GENOMES, 12.3), ENCODING, threads=1)
     rows = np.array([5, 1, 2])
-    rest = run_job(Job(GENOMES[rows], 30.0, 12.3, half.end.rows(rows)), ENCODING, threads=2)
+    rest = run_job(Job(GENOMES[rows], 30.0, half.end.rows(rows)), ENCODING, threads=2)
     for one, other in zip(rest.outcomes, complete, strict=True):
         np.testing.assert_array_equal(one, other[rows])
 
