@@ -153,7 +153,7 @@ class ModelBuilder:
         # At rest, the pre-tension of the cold springs compresses the segment to its length L.
         stretch = 0.0
         if segment < p.num_segments - 1:
-            stretch = _pretension(m, self._segments[segment + 1], p.spring) / p.axial_stiffness_n_m
+            stretch = pretension(m, self._segments[segment + 1], p.spring) / p.axial_stiffness_n_m
         self._part(
             body.add_joint,
             {
@@ -258,7 +258,7 @@ def _neck_offset(ahead: Morphology, behind: Morphology) -> list[float]:
     return [-length, 0.0, 2 * behind.segment_radius_m - 2 * ahead.segment_radius_m]
 
 
-def _pretension(ahead: Morphology, behind: Morphology, spring: SmaSpring) -> float:
+def pretension(ahead: Morphology, behind: Morphology, spring: SmaSpring) -> float:
     """Return the force along a straight body of the four cold springs between two segments, N.
 
     Between identical segments, springs have the length L + 2x and are parallel to the body.

@@ -6,16 +6,18 @@ statics. No simulated result enters them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.gait import PAIRS_PER_GAP, GaitTimings
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.gait import MAX_DUTY, PAIRS_PER_GAP, SPRINGS_PER_GAP, GaitTimings
+from caterpillar_env.morphology import Body, Morphology
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.sma import SmaSpring, settle
+from evolution.genome import Encoding
 from evolution.priors.preprocessor import DesignParameter
 from evolution.priors.statics import PlanarChain
 
@@ -33,7 +35,7 @@ def gait_parameters(physics: Physics, gait_period_s: float) -> tuple[DesignParam
 def _make_parameters(physics: Physics, gait_period_s: float) -> tuple[DesignParameter, ...]:
     """Return the same objects for the same arguments, so that `search_grid` runs once for them."""
     k_4 = partial(stroke, spring=physics.spring, gait_period_s=gait_period_s)
-    k_5 = partial(advance, physics=physics, gait_period_s=gait_period_s)
+    k_5 = partial(_advance_of_wave, physics=physics, gait_period_s=gait_period_s)
     return (
         DesignParameter("stroke", "thermal model", "", ("duty",), k_4),
         DesignParameter("advance", "planar statics", "m", ("lag", "offset", "duty"), k_5),
@@ -47,30 +49,39 @@ def stroke(duty: Array, *, spring: SmaSpring, gait_period_s: float) -> Array:
     return swing
 
 
-def advance(lag: Array, offset: Array, duty: Array, *, physics: Physics, gait_period_s: float) -> Array:
-    """Return the net advance of a crawling wave in one period, m.
+def advance(bodies: Sequence[Body], timings: GaitTimings, physics: Physics) -> Array:
+    """Return the net advance of P robots in one period of a settled gait, m, shape (P,).
 
     Args:
-        lag: delay of a dorsal pair after that of the gap ahead, share of the period.
-        offset: delay of a ventral pair after the dorsal pair of its gap, share of the period.
-        duty: powered share of the period, of all pairs.
+        bodies: P bodies, or one for all gaits.
+        timings: gaits of the springs, or of mirrored pairs, shape (P, springs or pairs).
         physics: material and number of segments.
-        gait_period_s: gait period.
     """
-    shape = np.broadcast_shapes(lag.shape, offset.shape, duty.shape)
-    lag, offset = (np.broadcast_to(a, shape).ravel() for a in (lag, offset))
-    duties, which = np.unique(np.broadcast_to(duty, shape).ravel(), return_inverse=True)
-    settled = _settled_fraction(duties, physics.spring, gait_period_s)  # (steps, duties)
-    gaps = physics.num_segments - 1
-    delays = [gap * lag + height * offset for gap in range(gaps) for height in range(PAIRS_PER_GAP)]
-    time = np.arange(INSTANTS + 1)[:, None] / INSTANTS
-    fractions = np.empty((len(time), len(delays), lag.size))
-    for pair, delay in enumerate(delays):
-        steps = ((time - delay) % 1.0 * len(settled)).astype(int) % len(settled)
-        fractions[:, pair] = settled[steps, which]
-    positions_m = PlanarChain(Morphology(), physics).crawl(fractions, gait_period_s / INSTANTS)
-    net_m: Array = (positions_m[-1] - positions_m[0]).reshape(shape)
+    period_s, gaps = timings.period_s, physics.num_segments - 1
+    springs = timings.of_springs(SPRINGS_PER_GAP * gaps)
+    duties, which = np.unique((springs.off_s - springs.on_s) / period_s % 1.0, return_inverse=True)
+    settled = _settled_fraction(duties, physics.spring, period_s)  # (steps, duties)
+    time = np.arange(INSTANTS + 1)[:, None, None] / INSTANTS
+    steps = ((time - springs.on_s / period_s) % 1.0 * len(settled)).astype(int) % len(settled)
+    fractions = settled[steps, which.reshape(springs.on_s.shape)]
+    # The planar model has one spring for the left and the right one.
+    pairs = fractions.reshape(*fractions.shape[:2], PAIRS_PER_GAP * gaps, -1).mean(axis=3)
+    chain = PlanarChain(bodies, physics)
+    positions_m = chain.crawl(np.moveaxis(pairs, 1, 2), period_s / INSTANTS)
+    net_m: Array = positions_m[-1] - positions_m[0]
     return net_m
+
+
+def _advance_of_wave(
+    lag: Array, offset: Array, duty: Array, *, physics: Physics, gait_period_s: float
+) -> Array:
+    """Return the advance of the nominal body with a wave, m. See the genes of the timing `wave`."""
+    waves = Encoding(physics, gait_period_s, timing="wave")
+    lag, offset, duty = np.broadcast_arrays(lag, offset, duty / MAX_DUTY)
+    gaits = np.stack([lag, duty, offset, duty], axis=-1).reshape(-1, 4)
+    genomes = np.concatenate([np.tile(Morphology().to_unit(), (len(gaits), 1)), gaits], axis=1)
+    _, timings = waves.decode(genomes)
+    return advance([Morphology()], timings, physics).reshape(lag.shape)
 
 
 def _settled_fraction(duty: Array, spring: SmaSpring, gait_period_s: float) -> Array:

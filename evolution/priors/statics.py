@@ -1,8 +1,8 @@
 """A planar, quasi-static model of the crawling robot, for the key design parameter K_5.
 
 The robot is reduced to its sagittal plane: a chain of rigid segments with a pitch hinge (neck) between
-neighbours and a prismatic joint in each segment but the last. Left and right springs act as one. At each
-instant the chain takes the shape of least energy,
+neighbours and a prismatic joint in each segment but the last. A left and a right spring act as one. At
+each instant the chain takes the shape of least energy,
 
     E = springs + necks + prismatic joints + gravity + compression of the feet
         + sum over feet of friction * load * |displacement since the last instant|,
@@ -11,19 +11,20 @@ plus the work of the dampers in the joints. There is no inertia. The last term i
 feet slide in the way that dissipates least. Its absolute value is smoothed over `SLIP_M`, and its loads
 are those of the previous iteration.
 
-All chains of one call have the same body and differ in their gaits. They are solved together, and the
-last axis of every array counts them.
+Many chains are solved together. The last axis of every array counts them.
 """
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.model import ELEMENTS_PER_SEGMENT
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.model import ELEMENTS_PER_SEGMENT, pretension
+from caterpillar_env.morphology import Body, Morphology, segments_of
 from caterpillar_env.physics import GRAVITY_M_S2, Physics
 from caterpillar_env.sma import spring_force
 
@@ -39,8 +40,8 @@ class _Vectors(NamedTuple):
     """Coefficients of V vectors: sum over segments j of (along - slide s_j) e_j + above n_j.
 
     e_j points forward along segment j, n_j upward from it, and s_j is the extension of its prismatic
-    joint. All arrays have the shape (V, N, 1). The vectors are the feet, the sum of the centres of all
-    elements, and the springs from end to end.
+    joint. All arrays have the shape (V, N, bodies). The vectors are the feet, the sum over all elements
+    of weight times centre, and the springs from end to end.
     """
 
     along_m: Array
@@ -59,56 +60,38 @@ class Geometry(NamedTuple):
 
 
 class PlanarChain:
-    """The model of one body.
+    """The model of one body with G gaits, or of G bodies with a gait each.
 
     The n = 2 N + 1 coordinates of a chain of N segments are the position x, z of the centre of the
     head's legged element, the pitch of each segment, and the extension of each prismatic joint but the
     last.
 
     Args:
-        morphology: body of all segments.
+        bodies: one body, or G.
         physics: material and number of segments.
     """
 
-    def __init__(self, morphology: Morphology, physics: Physics) -> None:
-        self._body, self._physics = morphology, physics
-        self._feet = physics.num_segments
-        self._elements = ELEMENTS_PER_SEGMENT * physics.num_segments
+    def __init__(self, bodies: Sequence[Body], physics: Physics) -> None:
+        self._physics, self._feet = physics, physics.num_segments
         self._pitches, self._slides = np.split(np.arange(2, 2 * self._feet + 1), [self._feet])
-        self._vectors = self._list_vectors()
-        self._element_n = morphology.segment_mass_kg / ELEMENTS_PER_SEGMENT * GRAVITY_M_S2
+        chains = [segments_of(body, self._feet) for body in bodies]
+        self._vectors = _Vectors(*np.stack([_list_vectors(chain) for chain in chains], axis=-1))
+        self._height_m = np.array([2 * head.segment_radius_m for head, *_ in chains])
+        self._weight_n = GRAVITY_M_S2 * np.array([sum(m.segment_mass_kg for m in c) for c in chains])
+        # Properties of the necks and of the prismatic joints, (N - 1, bodies).
+        gaps = [list(itertools.pairwise(chain)) for chain in chains]
+        limits = [[(a.joint_limit_rad + b.joint_limit_rad) / 2 for a, b in body] for body in gaps]
+        self._limit_rad = np.array(limits).T
+        self._travel_m = physics.axial_range * np.array(
+            [[m.segment_length_m for m in chain[:-1]] for chain in chains]
+        ).T  # fmt: skip
+        pull = [[pretension(a, b, physics.spring) for a, b in body] for body in gaps]
         # At rest, the pre-tension of the cold springs compresses a segment to its length.
-        spaced = np.array(morphology.segment_length_m + 2 * morphology.attachment_x_m)
-        pretension = 4 * spring_force(physics.spring, spaced, np.array(0.0))
-        self._stretch_m = float(pretension) / physics.axial_stiffness_n_m
+        self._stretch_m = np.array(pull).T / physics.axial_stiffness_n_m
         # Newton's method limits each step to these changes, and adds this to the Hessian's diagonal.
         pitches, slides = self._feet, self._feet - 1
         self._largest = np.array([0.01, 0.005] + pitches * [0.15] + slides * [0.002])[:, None]
         self._regularization = np.diag([1e-2, 1e-2] + pitches * [1e-3] + slides * [1e-2])
-
-    def _list_vectors(self) -> _Vectors:
-        m = self._body
-        x, y, segments = m.attachment_x_m, m.attachment_y_m, range(self._feet)
-        feet = [self._point(i, 0.0, -2 * m.segment_radius_m) for i in segments]
-        legged = sum(self._point(i, 0.0, 0.0) for i in segments)
-        plain = sum(self._point(i, -m.segment_length_m / 2, 0.0, slide=1.0) for i in segments)
-        springs = [
-            self._point(gap + 1, -x, height) - self._point(gap, x, height)
-            for gap in segments[:-1]
-            for height in (y, -y)
-        ]
-        return _Vectors(*np.stack([*feet, legged + plain, *springs], axis=1)[..., None])
-
-    def _point(self, segment: int, along_m: float, above_m: float, slide: float = 0.0) -> Array:
-        """Return the coefficients, (3, N), of a point from the centre of the head's legged element."""
-        length_m = self._body.segment_length_m
-        point = np.zeros((3, self._feet))
-        point[0, :segment] = -3 / 4 * length_m  # to the neck behind
-        point[0, 1 : segment + 1] -= length_m / 4  # from the neck ahead
-        point[2, :segment] = 1.0
-        point[:, segment] += along_m, above_m, slide
-        point[2, -1] = 0.0  # the last prismatic joint is rigid
-        return point
 
     def crawl(self, fractions: Array, interval_s: float) -> Array:
         """Return the position of the head, m, at each of K instants, (K, G).
@@ -129,9 +112,9 @@ class PlanarChain:
 
     def settle(self, fraction: Array) -> Array:
         """Return the coordinates at rest, from a straight chain, for fractions (pairs, G): (n, G)."""
-        load_n = np.full((self._feet, fraction.shape[1]), ELEMENTS_PER_SEGMENT * self._element_n)
+        load_n = np.zeros((self._feet, fraction.shape[1])) + self._weight_n / self._feet
         q = np.zeros((2 * self._feet + 1, fraction.shape[1]))
-        q[1] = 2 * self._body.segment_radius_m - load_n[0] / FOOT_STIFFNESS_N_M
+        q[1] = self._height_m - load_n[0] / FOOT_STIFFNESS_N_M
         feet_m = self.locate(q).vectors_m[0, : self._feet]
         for _ in range(FIRST_ITERATIONS):
             q, load_n = self._improve(q, q, fraction, feet_m, load_n, 1.0)
@@ -151,11 +134,11 @@ class PlanarChain:
         upward = np.stack([-forward[1], forward[0]])
         vectors_m = (along_m * forward[:, None] + v.above_m * upward[:, None]).sum(axis=2)
         vectors_m[:, : self._feet] += q[:2, None]
-        vectors_m[:, self._feet] += self._elements * q[:2]
+        vectors_m[:, self._feet] += self._weight_n * q[:2]
         jacobian = np.zeros((*vectors_m.shape[:2], *q.shape))
         for axis in range(2):
             jacobian[axis, : self._feet, axis] = 1.0
-            jacobian[axis, self._feet, axis] = self._elements
+            jacobian[axis, self._feet, axis] = self._weight_n
         jacobian[:, :, self._pitches] = along_m * upward[:, None] - v.above_m * forward[:, None]
         jacobian[:, :, self._slides] = -(v.slide * forward[:, None])[:, :, :-1]
         return Geometry(vectors_m, jacobian, along_m, forward, upward)
@@ -186,7 +169,7 @@ class PlanarChain:
         feet, spring = self._feet, self._physics.spring
         force = np.zeros_like(at.vectors_m)
         stiffness = np.zeros((2, *force.shape))
-        force[1, feet] = self._element_n
+        force[1, feet] = 1.0  # the weights are in the vector
         foot_x_m, foot_z_m = at.vectors_m[:, :feet]
         moved_m = foot_x_m - feet_m
         friction = self._physics.friction * load_n / np.hypot(moved_m, SLIP_M)
@@ -221,11 +204,11 @@ class PlanarChain:
         self, gradient: Array, hessian: Array, q: Array, start: Array, interval_s: float
     ) -> None:
         """Add the moments of the necks and the forces of the prismatic joints."""
-        p, m = self._physics, self._body
+        p = self._physics
         angle = np.diff(q[self._pitches], axis=0)
-        bent = p.neck_stiffening * (angle / m.joint_limit_rad) ** 2
+        bent = p.neck_stiffening * (angle / self._limit_rad) ** 2
         damping = p.neck_damping_n_m_s_rad / interval_s
-        beyond = angle - np.clip(angle, -m.joint_limit_rad, m.joint_limit_rad)
+        beyond = angle - np.clip(angle, -self._limit_rad, self._limit_rad)
         turned = angle - np.diff(start[self._pitches], axis=0)
         moment = p.neck_stiffness_n_m_rad * (1 + bent) * angle
         moment += NECK_STOP_N_M_RAD * beyond + damping * turned
@@ -238,8 +221,8 @@ class PlanarChain:
         hessian[ahead, behind] -= rate
         hessian[behind, ahead] -= rate
 
-        slide_m, travel_m = q[self._slides], p.axial_range * m.segment_length_m
-        beyond = slide_m - np.clip(slide_m, -travel_m, travel_m)
+        slide_m = q[self._slides]
+        beyond = slide_m - np.clip(slide_m, -self._travel_m, self._travel_m)
         damping = p.axial_damping_n_s_m / interval_s
         gradient[self._slides] += (
             p.axial_stiffness_n_m * (slide_m - self._stretch_m)
@@ -248,6 +231,38 @@ class PlanarChain:
         )
         rate = p.axial_stiffness_n_m + AXIAL_STOP_N_M * (beyond != 0) + damping
         hessian[self._slides, self._slides] += rate
+
+
+def _list_vectors(segments: Sequence[Morphology]) -> Array:
+    """Return the coefficients of the vectors of one body, (3, V, N); see `_Vectors`."""
+    feet = [_point(segments, i, 0.0, -2 * m.segment_radius_m) for i, m in enumerate(segments)]
+    weights = np.zeros((3, len(segments)))
+    for i, m in enumerate(segments):
+        legged = _point(segments, i, 0.0, 0.0)
+        plain = _point(segments, i, -m.segment_length_m / 2, 0.0, slide=1.0)
+        weights += m.segment_mass_kg / ELEMENTS_PER_SEGMENT * GRAVITY_M_S2 * (legged + plain)
+    springs = [
+        _point(segments, gap + 1, -behind.attachment_x_m, side * behind.attachment_y_m)
+        - _point(segments, gap, ahead.attachment_x_m, side * ahead.attachment_y_m)
+        for gap, (ahead, behind) in enumerate(itertools.pairwise(segments))
+        for side in (1, -1)
+    ]
+    return np.stack([*feet, weights, *springs], axis=1)
+
+
+def _point(
+    segments: Sequence[Morphology], index: int, along_m: float, above_m: float, slide: float = 0.0
+) -> Array:
+    """Return the coefficients, (3, N), of a point from the centre of the head's legged element."""
+    point = np.zeros((3, len(segments)))
+    for ahead in range(index):  # to the neck, and from there to the next legged element
+        m, behind = segments[ahead], segments[ahead + 1]
+        rise_m = behind.segment_radius_m - m.segment_radius_m
+        point[:, ahead] += -3 / 4 * m.segment_length_m, rise_m, 1.0
+        point[:2, ahead + 1] += -behind.segment_length_m / 4, rise_m
+    point[:, index] += along_m, above_m, slide
+    point[2, -1] = 0.0  # the last prismatic joint is rigid
+    return point
 
 
 def _load_n(height_m: Array) -> Array:

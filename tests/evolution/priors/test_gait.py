@@ -13,10 +13,11 @@ from caterpillar_env.robot import simulate
 from evolution.genome import Encoding
 from evolution.priors import make_priors, searches
 from evolution.priors.distributions import ClippedGaussian, Uniform, WrappedGaussian
-from evolution.priors.gait import gait_parameters
+from evolution.priors.gait import advance, gait_parameters
 
 WAVE, PHASE = Encoding(timing="wave"), Encoding(timing="phase")
-STROKE, ADVANCE = gait_parameters(Physics(), 5.0)
+PHYSICS = Physics()
+STROKE, ADVANCE = gait_parameters(PHYSICS, 5.0)
 
 
 def distributions(encoding, prior="body+gait", **settings):
@@ -37,7 +38,7 @@ def test_stroke_is_full_at_a_fifth_of_the_period():
 
 
 def test_longer_period_leaves_more_time_to_cool():
-    (short, _), (long, _) = (gait_parameters(Physics(), period) for period in (3.0, 10.0))
+    (short, _), (long, _) = (gait_parameters(PHYSICS, period) for period in (3.0, 10.0))
     half = np.array([0.5])
     assert short.formula(half) < STROKE.formula(half) < long.formula(half)
 
@@ -68,6 +69,27 @@ def test_advance_ranks_gaits_as_the_simulator_does():
     timings = GaitTimings.from_phases(delay, duties, 5.0)
     crawled = simulate([Morphology()] * 30, timings, Physics(), duration_s=10.0)
     assert spearmanr(ADVANCE.formula(lag, offset, duty), crawled.distance_m)[0] > 0.6
+
+
+def test_advance_of_robots_is_that_of_their_pairs_of_springs():
+    genomes = np.random.default_rng(1).random((3, len(WAVE.genes)))
+    bodies, pairs = WAVE.decode(genomes)
+    together = advance(bodies, pairs, PHYSICS)
+    assert advance(bodies, pairs.mirrored(), PHYSICS) == pytest.approx(together, abs=1e-12)
+    for body, on_s, off_s, expected in zip(bodies, pairs.on_s, pairs.off_s, together, strict=True):
+        alone = advance([body], GaitTimings(5.0, on_s[None], off_s[None]), PHYSICS)
+        assert alone == pytest.approx(expected, abs=1e-6)
+
+
+def test_springs_of_one_side_advance_less_than_both():
+    gap, ventral = np.divmod(np.arange(6), 2)
+    on_s = np.repeat((gap * 0.7 + ventral * 0.5) % 1.0 * 5.0, 2)
+    off_s = (on_s + 1.0) % 5.0
+    is_left = np.tile([True, False], 6)
+    rows = np.stack([off_s, np.where(is_left, off_s, on_s), np.where(is_left, on_s, off_s)])
+    both, left, right = advance([Morphology()], GaitTimings(5.0, np.tile(on_s, (3, 1)), rows), PHYSICS)
+    assert left == pytest.approx(right, abs=1e-12)
+    assert 0.1 * both < left < 0.9 * both
 
 
 # Priors
