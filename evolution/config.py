@@ -7,6 +7,7 @@ from typing import Any, Literal, get_origin, get_type_hints
 
 import numpy as np
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError, check_choice, from_mapping
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.physics import Physics
@@ -19,6 +20,7 @@ from evolution.optimizers.random_search import RandomSearch, Sampling
 from evolution.optimizers.shade import DRAWS, Shade, ShadeConfig
 from evolution.priors import Control, Prior, make_priors
 from evolution.priors.distributions import Clipping, Distribution, Uniform
+from evolution.priors.gait import advance
 from evolution.priors.preprocessor import Contradictions, GenePrior, check_floor_ratio
 from evolution.run.objective import ObjectiveName
 
@@ -141,10 +143,16 @@ class RunConfig:
             return GeneticAlgorithm(first, self.distributions("mutation"), self.ga, rng)
         circular = [gene.circular for gene in self.encoding.genes]
         if self.optimizer == "shade":
-            return Shade(first, self.shade, rng, circular)
+            predict = self._predict_advance if self.shade.shade_candidates > 1 else None
+            return Shade(first, self.shade, rng, circular, predict)
         if self.optimizer == "cma-es":
             return CmaEs(first, self.cma, rng, circular)
         return RandomSearch(first, self.ga.population, self.sampling, rng)
+
+    def _predict_advance(self, genomes: Array) -> Array:
+        """Return K_5 for the bodies and gaits of genomes (P, n), m."""
+        bodies, timings = self.encoding.decode(genomes)
+        return advance(bodies, timings, self.physics)
 
     def evaluations(self) -> int:
         """Return the number of genomes that the run evaluates. CMA-ES with restarts evaluates more."""

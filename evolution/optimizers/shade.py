@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
@@ -26,10 +27,12 @@ class ShadeConfig:
     """
 
     shade_population: int = 30  #: genomes per generation
+    shade_candidates: int = 1  #: candidates per genome; K_5, advance, chooses the one to simulate
 
     def __post_init__(self) -> None:
-        if self.shade_population < 4:
-            raise CaterpillarError(f"shade_population = {self.shade_population} must be at least 4")
+        for name, least in (("shade_population", 4), ("shade_candidates", 1)):
+            if getattr(self, name) < least:
+                raise CaterpillarError(f"{name} = {getattr(self, name)} must be at least {least}")
 
 
 class Shade(GenerationalOptimizer):
@@ -40,11 +43,19 @@ class Shade(GenerationalOptimizer):
     b is another or a former one. The trial replaces x if it is at least as good. The scale F and the
     crossover rate follow the values that led to better genomes.
 
+    With several candidates, each genome is drawn several times, and `predict` chooses which of them is
+    proposed.
+
     Args:
         distributions: distribution of each gene, for the first population.
         config: settings of SHADE.
         rng: the only source of randomness.
         circular: whether each gene is circular; by default, none is.
+        predict: a cheap prediction of the fitness, (P,), of genomes (P, n); higher is better. It is
+            needed for more than one candidate.
+
+    Raises:
+        CaterpillarError: there are several candidates and no `predict`.
     """
 
     def __init__(
@@ -53,9 +64,15 @@ class Shade(GenerationalOptimizer):
         config: ShadeConfig,
         rng: np.random.Generator,
         circular: Sequence[bool] | None = None,
+        predict: Callable[[Array], Array] | None = None,
     ) -> None:
         super().__init__()
+        if config.shade_candidates > 1 and predict is None:
+            raise CaterpillarError(
+                f"shade_candidates = {config.shade_candidates} needs predict, which chooses among them"
+            )
         self._distributions, self._rng = list(distributions), rng
+        self._candidates, self._predict = config.shade_candidates, predict
         self._size = config.shade_population
         self._circular = np.array(circular or [False] * len(distributions))
         self._genomes = np.empty((0, len(distributions)))
@@ -67,15 +84,33 @@ class Shade(GenerationalOptimizer):
 
     def _propose(self) -> Array:
         if not len(self._genomes):
-            return draw(self._distributions, self._rng, DRAWS * self._size)
-        self._used = self._draw_settings()
-        scale, rate = self._used[..., None]
+            count = DRAWS * self._size
+            drawn = draw(self._distributions, self._rng, self._candidates * count)
+            candidates = drawn.reshape(self._candidates, count, -1)
+            return candidates[self._choose(candidates), np.arange(count)]
+        settings = np.array([self._draw_settings() for _ in range(self._candidates)])
+        candidates = np.array([self._mix(*each) for each in settings])
+        chosen, rows = self._choose(candidates), np.arange(self._size)
+        self._used = settings[chosen, :, rows].T
+        return candidates[chosen, rows]
+
+    def _choose(self, candidates: Array) -> NDArray[np.intp]:
+        """Return the index of the most promising of the candidates (C, P, n) for each genome, (P,)."""
+        if self._predict is None:
+            return np.zeros(candidates.shape[1], dtype=np.intp)
+        predicted = self._predict(candidates.reshape(-1, candidates.shape[2]))
+        certain = np.where(np.isfinite(predicted), predicted, -np.inf)
+        best: NDArray[np.intp] = certain.reshape(candidates.shape[:2]).argmax(axis=0)
+        return best
+
+    def _mix(self, scale: Array, rate: Array) -> Array:
+        """Return a trial for each genome, (N, n), from its scale and crossover rate, (N,)."""
         x = self._genomes
         ahead, other = self._draw_differences()
-        mutants = x + scale * (ahead + other)
+        mutants = x + scale[:, None] * (ahead + other)
         bounced = np.where(mutants < 0, x / 2, np.where(mutants > 1, (1 + x) / 2, mutants))
         mutants = np.where(self._circular, mutants % 1.0, bounced)
-        mixed = self._rng.random(x.shape) < rate
+        mixed = self._rng.random(x.shape) < rate[:, None]
         mixed[np.arange(self._size), self._rng.integers(x.shape[1], size=self._size)] = True
         return np.where(mixed, mutants, x)
 

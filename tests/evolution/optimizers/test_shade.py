@@ -10,9 +10,9 @@ from evolution.priors.distributions import ClippedGaussian, Uniform, WrappedGaus
 SIZE = 10
 
 
-def started(seed=0, genes=None, **settings):
+def started(seed=0, genes=None, candidates=1, **settings):
     genes = genes or [Uniform()] * 5
-    return Shade(genes, ShadeConfig(SIZE), np.random.default_rng(seed), **settings)
+    return Shade(genes, ShadeConfig(SIZE, candidates), np.random.default_rng(seed), **settings)
 
 
 def run(optimizer, generations, fitness_of):
@@ -83,6 +83,50 @@ def test_equal_fitness_is_no_error():
     assert len(run(started(), 10, lambda x: np.zeros(len(x)))) == 10
 
 
-def test_population_that_is_too_small_is_refused():
-    with pytest.raises(CaterpillarError, match="shade_population = 3 must be at least 4"):
-        ShadeConfig(3)
+def test_most_promising_candidates_are_proposed():
+    plain, chosen = started(), started(candidates=4, predict=lambda genomes: genomes[:, 0])
+    first, best_of_four = plain.ask(), chosen.ask()
+    assert best_of_four.shape == first.shape
+    # The mean of the largest of four uniform numbers is 0.8.
+    assert best_of_four[:, 0].mean() == pytest.approx(0.8, abs=0.1)
+    assert best_of_four[:, 1].mean() == pytest.approx(0.5, abs=0.15)
+    for optimizer in (plain, chosen):
+        run(optimizer, 1, lambda x: np.zeros(len(x)))
+    assert np.median(chosen.ask()[:, 0]) > np.median(plain.ask()[:, 0])
+
+
+def test_good_prediction_speeds_up_the_search():
+    plain, helped = started(), started(candidates=5, predict=sphere)
+    best = [max(sphere(g).max() for g in run(optimizer, 15, sphere)) for optimizer in (plain, helped)]
+    assert best[1] > 0.2 * best[0]  # both are negative
+
+
+def test_candidate_without_a_prediction_is_the_last_choice():
+    def predict(genomes):
+        return np.where(genomes[:, 0] > 0.5, np.nan, -1.0)
+
+    first = started(candidates=8, predict=predict).ask()
+    assert (first[:, 0] <= 0.5).mean() > 0.9
+
+
+def test_search_with_equal_predictions_still_adapts():
+    optimizer = started(5, candidates=2, predict=lambda genomes: np.zeros(len(genomes)))
+    values = [sphere(genomes).max() for genomes in run(optimizer, 60, sphere)]
+    assert values[-1] > -1e-3
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"shade_population": 3}, "shade_population = 3 must be at least 4"),
+        ({"shade_candidates": 0}, "shade_candidates = 0 must be at least 1"),
+    ],
+)
+def test_values_out_of_range_are_refused(settings, message):
+    with pytest.raises(CaterpillarError, match=message):
+        ShadeConfig(**settings)
+
+
+def test_candidates_need_a_prediction():
+    with pytest.raises(CaterpillarError, match="shade_candidates = 2 needs predict"):
+        started(candidates=2)

@@ -15,7 +15,9 @@ from evolution.config import RunConfig
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig
 from evolution.optimizers.random_search import RandomSearch
+from evolution.optimizers.shade import Shade, ShadeConfig
 from evolution.priors.distributions import ClippedGaussian, Uniform
+from evolution.priors.gait import advance
 from evolution.run.evaluators import LocalEvaluator
 from evolution.run.history import load
 from evolution.run.journal import Journal, fingerprint
@@ -361,6 +363,17 @@ def test_clamped_prior_keeps_peaks_and_widths():
 def test_optimizer_is_the_one_that_was_named():
     assert isinstance(RunConfig(optimizer="cma-es").make_optimizer(), CmaEs)
     assert isinstance(RunConfig(optimizer="random").make_optimizer(), RandomSearch)
+    assert isinstance(RunConfig(optimizer="shade").make_optimizer(), Shade)
+
+
+def test_candidates_of_shade_are_chosen_by_their_advance():
+    config = RunConfig(optimizer="shade", timing="wave", prior="gait", shade=ShadeConfig(8, 6))
+    plain = replace(config, shade=ShadeConfig(8))
+    one, many = (
+        advance(*config.encoding.decode(each.make_optimizer().ask()), config.physics)
+        for each in (plain, config)
+    )
+    assert np.median(many) > np.quantile(one, 0.75)
 
 
 def test_configuration_survives_json():
@@ -424,6 +437,9 @@ KINDS = [
     {"optimizer": "ga", "objective": "distance-per-energy"},
     {"optimizer": "ga", "genome": "full"},
     {"optimizer": "cma-es", "genome": "per-segment", "cma": CmaConfig(cma_population=4)},
+    {"optimizer": "shade", "shade": ShadeConfig(4)},
+    {"optimizer": "shade", "genome": "full", "timing": "phase", "shade": ShadeConfig(4, 2)},
+    {"optimizer": "shade", "genome": "per-segment", "timing": "wave", "shade": ShadeConfig(4, 3)},
 ]
 
 
