@@ -18,12 +18,12 @@ from evolution.run.loop import evolve
 PRESETS = {
     "paper": RunConfig(),
     "quick": RunConfig(
-        generations=12,
+        generations=4,
         optimizer="shade",
         timing="wave",
         prior="body+gait",
         race_share=0.34,
-        shade=ShadeConfig(shade_population=15),
+        shade=ShadeConfig(shade_population=15, shade_candidates=10),
     ),
 }
 
@@ -41,7 +41,7 @@ class EvolveArgs:
 
 
 def evolve_command(argv: Sequence[str]) -> int:
-    """Evolve body and gait: genetic algorithm, CMA-ES or random search."""
+    """Evolve body and gait: genetic algorithm, SHADE, CMA-ES or random search."""
     preset = argparse.ArgumentParser("caterpillar evolve", add_help=False, allow_abbrev=False)
     preset.add_argument("--preset", default="paper")
     name = preset.parse_known_args(argv)[0].preset

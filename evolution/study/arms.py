@@ -98,7 +98,7 @@ def merge(base: Mapping[str, Any], special: Mapping[str, Any]) -> dict[str, Any]
 
 @dataclass(frozen=True)
 class EvolutionArm:
-    """Runs of an optimizer: the genetic algorithm, CMA-ES or random search. See `Arm`."""
+    """Runs of an optimizer: the genetic algorithm, SHADE, CMA-ES or random search. See `Arm`."""
 
     config: RunConfig
 

@@ -73,10 +73,10 @@ def test_quick_preset_is_small():
 @pytest.mark.parametrize(
     ("flags", "generations", "population"),
     [
-        (["--preset", "quick"], 12, 15),
-        (["--preset=quick", "--seed", "3"], 12, 15),
+        (["--preset", "quick"], 4, 15),
+        (["--preset=quick", "--seed", "3"], 4, 15),
         (["--generations", "2", "--preset", "quick"], 2, 15),
-        (["--preset", "quick", "--shade-population", "8"], 12, 8),
+        (["--preset", "quick", "--shade-population", "8"], 4, 8),
         (["--preset", "paper", "--population", "10"], 50, 10),
         ([], 50, 200),
     ],
