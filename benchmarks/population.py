@@ -9,9 +9,8 @@ import argparse
 
 from benchmarks.harness import Step, report, spread, time_steps
 from benchmarks.recorder import record_calls
-from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.physics import Physics
-from caterpillar_env.task import EPISODE_S, Crawl
+from caterpillar_env.task import Crawl
 from caterpillar_env.validation.robots import random_robots, stack_power
 
 
@@ -50,8 +49,8 @@ def compare(count: int, periods: int, repeats: int) -> None:
 def main() -> None:
     """Run the benchmark and print its table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--bodies", type=int, default=200)
-    parser.add_argument("--periods", type=int, default=round(EPISODE_S / GAIT_PERIOD_S))
+    parser.add_argument("--bodies", type=int, default=100)
+    parser.add_argument("--periods", type=int, default=2)
     parser.add_argument("--repeats", type=int, default=3)
     args = parser.parse_args()
     compare(args.bodies, args.periods, args.repeats)
