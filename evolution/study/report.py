@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from evolution.report.page import data_url, render
 from evolution.study import statistics
 from evolution.study.analysis import Analysis, arrivals, format_estimate, format_p, summarize
-from evolution.study.winners import Winner
+from evolution.study.winners import Comparison, Winner
 
 _KILO = 1000.0  # the time axes are in 1000 s
 _TIME = "simulated time (1000 s)"
@@ -107,7 +107,12 @@ def _add_legend(axis: Axes) -> None:
     axis.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
-def write(analysis: Analysis, winners: Sequence[Winner], folder: Path) -> Path:
+def write(
+    analysis: Analysis,
+    winners: Sequence[Winner],
+    folder: Path,
+    compared: Sequence[Comparison] = (),
+) -> Path:
     """Write `figures/*.png` and `report.html` into a study's folder; return the path of the page."""
     (folder / "figures").mkdir(exist_ok=True)
     figures = []
@@ -124,6 +129,7 @@ def write(analysis: Analysis, winners: Sequence[Winner], folder: Path) -> Path:
                 figures.append((name, _CAPTIONS[name], data_url("image/png", path.read_bytes())))
     filters = {
         "mm": lambda metres: f"{1000 * metres:.1f}",
+        "percent": lambda share: f"{100 * share:.1f} %",
         "mm_interval": lambda estimate: format_estimate(estimate, "{:.1f}", 1000.0),
         "seconds": lambda estimate: format_estimate(estimate, "{:,.0f}"),
         "ratio": format_estimate,
@@ -132,7 +138,7 @@ def write(analysis: Analysis, winners: Sequence[Winner], folder: Path) -> Path:
     page = folder / "report.html"
     text = render(
         "study.html", filters, name=folder.resolve().name, analysis=analysis, config=analysis.config,
-        winners=winners, sentences=summarize(analysis), figures=figures,
+        winners=winners, compared=compared, sentences=summarize(analysis), figures=figures,
         version=version("caterpillar-sma"),
     )  # fmt: skip
     page.write_text(text, encoding="utf-8")

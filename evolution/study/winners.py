@@ -1,18 +1,31 @@
-"""Simulates the best robot of each arm again, at a finer timestep."""
+"""Simulates the best robots of a study again, with more accurate settings."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from caterpillar_env.files import write_json
+from caterpillar_env.robot import Robot, simulate
 from caterpillar_env.task import Failure
+from caterpillar_env.validation.robots import stack_robots
 from evolution.study.analysis import Analysis
 from evolution.study.config import Cell
 
 REFERENCE_TIMESTEP_S = 0.00025  #: timestep of the reference simulation, see docs/physics.md
 ARTEFACT_SHARE = 0.1  #: largest relative change of distance that is not an artefact
+
+
+#: Settings of the simulations that all winners are compared with, by the name in tables.
+REFERENCES: dict[str, dict[str, Any]] = {
+    "0.25 ms": {"timestep_s": REFERENCE_TIMESTEP_S},
+    "Runge-Kutta": {"timestep_s": REFERENCE_TIMESTEP_S, "integrator": "rk4"},
+}
 
 
 class Winner(NamedTuple):
@@ -51,3 +64,74 @@ def find_winners(analysis: Analysis, folder: Path) -> list[Winner]:
             known[arm] = Winner(arm, best.seed, best_m, float(end.distance_m[0]), failure)._asdict()
             write_json(file, known)
     return [Winner(**known[arm]) for arm in analysis.runs if arm in known]
+
+
+class Comparison(NamedTuple):
+    """The best robots of all runs of an arm, simulated again with other settings."""
+
+    arm: str
+    reference: str  #: see `REFERENCES`
+    robots: int
+    failed: int  #: number of robots that fail with these settings
+    median_error: float  #: median relative change of the distance of the others; NaN if there are none
+    worst_error: float
+
+
+def compare_winners(analysis: Analysis, folder: Path) -> list[Comparison]:
+    """Simulate the best robot of every run again with each of `REFERENCES`, on all cores.
+
+    Results are saved as `winners/all.json`, and robots as `winners/ARM/seed-N.json`. Robots that an
+    earlier call simulated are not simulated again. Policies are left out.
+    """
+    file = folder / "winners" / "all.json"
+    known = json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
+    rows = {(row["arm"], row["seed"], row["recorded_m"]): row for row in known}
+    found = []
+    for arm, runs in analysis.runs.items():
+        winners = {(arm, run.seed, float(run.best_m[-1])): run for run in runs if run.best_m[-1] > 0}
+        missing = [key for key in winners if key not in rows]
+        robots = {}
+        for key in missing:
+            run_folder = Cell(arm, key[1]).folder(folder)
+            number = int(winners[key].best_m.argmax())
+            robot = analysis.config.arms[arm].robot(run_folder, number) if run_folder.exists() else None
+            if isinstance(robot, Robot):
+                robots[key] = robot
+                path = folder / "winners" / arm / f"seed-{key[1]}.json"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                robot.save(path)
+        rows |= _simulate_again(robots)
+        if robots:
+            write_json(file, list(rows.values()))
+        found += _compare(arm, [rows[key] for key in winners if key in rows])
+    return found
+
+
+def _simulate_again(robots: dict[tuple[str, int, float], Robot]) -> dict[tuple[str, int, float], Any]:
+    """Return the recorded distance of each robot, and its end with each of the references."""
+    rows = {
+        key: {"arm": key[0], "seed": key[1], "recorded_m": key[2], "references": {}} for key in robots
+    }
+    for name, settings in REFERENCES.items() if robots else ():
+        bodies, timings = stack_robots(list(robots.values()))
+        physics = replace(next(iter(robots.values())).physics, **settings)
+        ends = simulate(bodies, timings, physics)
+        for row, distance_m, failure in zip(rows.values(), ends.distance_m, ends.failure, strict=True):
+            row["references"][name] = {  # type: ignore[index]
+                "distance_m": float(distance_m), "failure": Failure(failure).label
+            }  # fmt: skip
+    return rows
+
+
+def _compare(arm: str, rows: Iterable[dict[str, Any]]) -> list[Comparison]:
+    found = []
+    for name in REFERENCES if rows else ():
+        ends = [row["references"][name] for row in rows]
+        errors = [
+            abs(end["distance_m"] / row["recorded_m"] - 1.0)
+            for row, end in zip(rows, ends, strict=True)
+            if end["failure"] == "ok"
+        ]
+        median, worst = (float(f(errors)) if errors else np.nan for f in (np.median, np.max))
+        found.append(Comparison(arm, name, len(ends), len(ends) - len(errors), median, worst))
+    return found

@@ -437,9 +437,7 @@ KINDS = [
     {"optimizer": "ga", "objective": "distance-per-energy"},
     {"optimizer": "ga", "genome": "full"},
     {"optimizer": "cma-es", "genome": "per-segment", "cma": CmaConfig(cma_population=4)},
-    {"optimizer": "shade", "shade": ShadeConfig(4)},
     {"optimizer": "shade", "genome": "full", "timing": "phase", "shade": ShadeConfig(4, 2)},
-    {"optimizer": "shade", "genome": "per-segment", "timing": "wave", "shade": ShadeConfig(4, 3)},
 ]
 
 

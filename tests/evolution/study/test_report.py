@@ -10,7 +10,7 @@ from evolution.study.analysis import Analysis, Finals, Gain, Times
 from evolution.study.config import StudyConfig
 from evolution.study.results import Run
 from evolution.study.statistics import Estimate
-from evolution.study.winners import Winner
+from evolution.study.winners import Comparison, Winner
 
 CONFIG = StudyConfig.from_dict(
     {"seeds": [0, 1], "pilot_seeds": [9], "budget_s": 100, "arms": {"ga-uniform": {"prior": "uniform"}}}
@@ -58,7 +58,8 @@ def test_page_shows_every_number_in_its_unit(tmp_path):
     analysis = replace(
         STUDY, runs={}, times={0.05: [times]}, finals=[finals], gains=[Gain("ga-uniform", 2, ratio)]
     )
-    page = report.write(analysis, [winner], tmp_path).read_text("utf-8")
+    compared = Comparison("ga-uniform", "Runge-Kutta", 2, 1, 0.0214, 0.05)
+    page = report.write(analysis, [winner], tmp_path, [compared]).read_text("utf-8")
     rows = [row.split("<td>")[1:] for row in re.findall(r"<tr>(<td>.*)</tr>", page)]
     fast = "2.00 (1.50 to ∞)"
     assert rows == [
@@ -66,5 +67,13 @@ def test_page_shows_every_number_in_its_unit(tmp_path):
         ["ga-uniform", "2", "40.0 (30.0 to 50.0)", "60.0", "25 %", fast, "&lt; 0.001"],
         ["ga-uniform", "2", fast],
         ["ga-uniform", "1", "60.0", "30.1", "artefact of the timestep"],
+        ["ga-uniform", "Runge-Kutta", "2", "1", "2.1 %", "5.0 %"],
     ]
     assert "Time to 50.0 mm" in page
+    assert "over the pilot seeds" in page
+
+
+def test_page_does_not_derive_given_thresholds_from_pilot_runs(tmp_path):
+    config = replace(CONFIG, pilot_seeds=(), thresholds_m=(0.05,))
+    page = report.write(replace(STUDY, config=config, runs={}), [], tmp_path).read_text("utf-8")
+    assert "over the pilot seeds" not in page

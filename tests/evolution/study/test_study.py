@@ -20,6 +20,7 @@ from evolution import cli
 from evolution.run.database import is_in_use
 from evolution.run.history import History
 from evolution.run.journal import Journal, read_simulated_s
+from evolution.study import winners
 from evolution.study.analysis import analyse
 from evolution.study.cells import Processes, RayTasks, run_study
 from evolution.study.config import Cell, StudyConfig, begin, load
@@ -364,3 +365,13 @@ def test_best_robots_are_simulated_again_once(finished, capsys):
     before = (finished / "winners" / "winners.json").stat().st_mtime_ns
     assert cli.main(["report", str(finished)]) == 0
     assert (finished / "winners" / "winners.json").stat().st_mtime_ns == before
+
+
+def test_report_compares_all_winners_on_request(finished, tmp_path, monkeypatch, capsys):
+    shutil.copytree(finished, tmp_path / "study")
+    monkeypatch.setattr(winners, "REFERENCES", {"5 ms": {"timestep_s": 0.005}})
+    assert cli.main(["report", str(tmp_path / "study"), "--all-winners"]) == 0
+    printed = capsys.readouterr().out
+    for arm in SMALL["arms"]:
+        assert f"{arm}, 5 ms: median error of " in printed
+    assert "simulated again</h2>" in (tmp_path / "study" / "report.html").read_text("utf-8")

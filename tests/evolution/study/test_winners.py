@@ -1,4 +1,4 @@
-"""The best robots of a study at a finer timestep, with artificial robots."""
+"""The best robots of a study, simulated again."""
 
 from dataclasses import dataclass, replace
 
@@ -6,12 +6,15 @@ import numpy as np
 import polars
 import pytest
 
-from caterpillar_env.robot import Outcomes
+from caterpillar_env.physics import Physics
+from caterpillar_env.robot import Outcomes, Robot
 from caterpillar_env.task import Failure
+from caterpillar_env.validation.robots import random_robots
+from evolution.study import winners
 from evolution.study.analysis import analyse
 from evolution.study.config import Cell, StudyConfig
 from evolution.study.results import Results, Run
-from evolution.study.winners import Winner, find_winners
+from evolution.study.winners import Comparison, Winner, compare_winners, find_winners
 
 
 @pytest.mark.parametrize(
@@ -84,3 +87,73 @@ def test_known_winners_do_not_need_their_run_folders(study, tmp_path):
 def test_arm_whose_robots_never_crawled_has_no_winner(study, tmp_path):
     Cell("a", 0).folder(tmp_path).mkdir(parents=True)
     assert study({0: 0.0}) == []
+
+
+# The best robot of every run
+
+
+class RandomRobots:
+    """An arm whose evaluation number n is a random robot."""
+
+    robots = random_robots(7, 3, Physics(num_segments=2, timestep_s=0.01))
+
+    def robot(self, folder, evaluation):
+        return self.robots[evaluation]
+
+
+@pytest.fixture
+def compare(tmp_path, monkeypatch):
+    """Return a function from best distances by seed to the comparisons of a study with one arm."""
+    monkeypatch.setattr(winners, "REFERENCES", {"5 ms": {"timestep_s": 0.005}})
+
+    def run(best_m):
+        config = StudyConfig({"a": RandomRobots()}, (0, 1, 2), (9,), 210, reference="a")
+        empty = analyse(config, Results(polars.DataFrame(), []), None)
+        runs = {"a": [make_run(seed, best) for seed, best in best_m.items()]}
+        return compare_winners(replace(empty, runs=runs), tmp_path)
+
+    return run
+
+
+def test_best_robot_of_every_run_is_simulated_with_the_reference(compare, tmp_path):
+    recorded_m = {0: 0.2, 1: 0.3, 2: 0.4}
+    for seed in recorded_m:
+        Cell("a", seed).folder(tmp_path).mkdir(parents=True)
+    (found,) = compare(recorded_m)
+    ends = [RandomRobots.robots[number].simulate(0.005) for number in (2, 3, 4)]
+    errors = [
+        abs(end.distance_m[0] / recorded - 1)
+        for end, recorded in zip(ends, recorded_m.values(), strict=True)
+        if end.failure[0] == Failure.NONE
+    ]
+    assert 0 < len(errors) <= 3
+    failed = 3 - len(errors)
+    assert found == Comparison(
+        "a", "5 ms", 3, failed, pytest.approx(np.median(errors)), pytest.approx(max(errors))
+    )
+    saved = Robot.load(tmp_path / "winners" / "a" / "seed-1.json")
+    assert saved.to_dict() == RandomRobots.robots[3].to_dict()
+
+
+def test_robots_that_fail_count_apart_from_the_errors(compare, tmp_path, monkeypatch):
+    for seed in (0, 1):
+        Cell("a", seed).folder(tmp_path).mkdir(parents=True)
+
+    def simulate(bodies, timings, physics):
+        assert physics.timestep_s == 0.005
+        failure = np.array([Failure.TIPPED, Failure.NONE], dtype=np.int8)
+        return Outcomes(failure, np.array([0.01, 0.27]), np.zeros(2), np.zeros(2))
+
+    monkeypatch.setattr(winners, "simulate", simulate)
+    (found,) = compare({0: 0.2, 1: 0.3})
+    assert found == Comparison("a", "5 ms", 2, 1, pytest.approx(0.1), pytest.approx(0.1))
+
+
+def test_robots_are_simulated_once(compare, tmp_path, monkeypatch):
+    folder = Cell("a", 1).folder(tmp_path)
+    folder.mkdir(parents=True)
+    first = compare({1: 0.3})
+    monkeypatch.delattr(winners, "simulate")
+    folder.rmdir()  # results are kept without the run
+    assert compare({1: 0.3}) == first
+    assert compare({0: 0.0}) == []
