@@ -13,6 +13,7 @@ from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import NAMES, Morphology
+from caterpillar_env.task import Failure
 from evolution.config import RunConfig
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 
@@ -87,5 +88,5 @@ class CoDesign(BaseCallback):
         for row, first_m in enumerate(self._first_m):
             if first_m is None and self.locals["dones"][row]:
                 info = self.locals["infos"][row]
-                self._first_m[row] = info["distance"] if info["failure"] == "ok" else 0.0
+                self._first_m[row] = info["distance"] if info["failure"] == Failure.NONE else 0.0
         return True

@@ -150,7 +150,7 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
     if config.design != "fixed":
         n_envs = POPULATION * ROBOTS_PER_BODY
     if config.open_loop:
-        env_kwargs["frame_skip"] = _PERIODS_PER_EPISODE
+        env_kwargs["action_repeat"] = _PERIODS_PER_EPISODE
         for name in ("n_steps", "learning_starts"):  # keep the number of episodes
             if name in model:
                 model[name] = max(1, model[name] // _PERIODS_PER_EPISODE)

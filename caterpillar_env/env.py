@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
+from caterpillar_env.arguments import ActionMode, EpisodeConfig, check_options
 from caterpillar_env.drawing.rendering import Pictures, View
-from caterpillar_env.episodes import ActionMode, EpisodeConfig, Episodes, check_options
+from caterpillar_env.episodes import Episodes, EpisodeState, make_generator
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.randomization import Randomization
-from caterpillar_env.task import EPISODE_S, OnInterval
+from caterpillar_env.task import EPISODE_S, Failure, OnInterval
+
+if TYPE_CHECKING:
+    import mujoco
 
 _ROW = np.array([0])
 
@@ -32,11 +37,13 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         morphology: the body: a mapping of the parameters that differ from the nominal body, the eight
             values of `morphology.NAMES`, or a `Morphology`.
         physics: a mapping of the fields that differ from the defaults of `Physics`, or a `Physics`.
-        action_mode: "timing", where a step is a gait period and the action holds on and off times, or
-            "switch", where a step is a control interval of 0.1 s and the action switches springs.
-        symmetric: in timing mode, whether the left and the right spring of a pair share their times.
+        action_mode: "timing", where a step is a gait period and the action holds on and off times;
+            "phase", the same with delays and duties; or "switch", where a step is a control interval of
+            0.1 s and the action switches springs.
+        symmetric: in timing and phase mode, whether the left and the right spring of a pair are powered
+            together.
         gait_period_s: gait period, s, a multiple of 0.1 s.
-        frame_skip: number of gait periods (timing) or control intervals (switch) in a step.
+        action_repeat: number of gait periods, or of control intervals in switch mode, in a step.
         episode_s: simulated length of an episode, s, a multiple of 0.1 s.
         forward_reward_weight: reward for a metre of progress.
         ctrl_cost_weight: cost of a joule of electrical energy.
@@ -53,6 +60,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
 
     Attributes:
         dt: simulated length of an environment step, s.
+        frame_skip: number of physics steps in an environment step.
         observation_names: name of every entry of the observation, in order.
         crawl: the simulated robot: `crawl.progress()`, `crawl.simulation.state()` and so on.
         on_interval: function to call with the `Trace` of every control interval, or None.
@@ -74,7 +82,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         action_mode: ActionMode = "timing",
         symmetric: bool = True,
         gait_period_s: float = GAIT_PERIOD_S,
-        frame_skip: int = 1,
+        action_repeat: int = 1,
         episode_s: float = EPISODE_S,
         forward_reward_weight: float = 100.0,
         ctrl_cost_weight: float = 0.0,
@@ -95,6 +103,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         self._episodes = Episodes([body], EpisodeConfig.of(arguments), threads=1)
         self.crawl = self._episodes.crawl
         self.dt = self._episodes.step_s
+        self.frame_skip = round(self.dt / self.crawl.physics.timestep_s)
         self.observation_names = self._episodes.observation_names
         self.on_interval: OnInterval | None = None
         self.action_space = self._episodes.action_space
@@ -102,12 +111,62 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         self.render_mode = render_mode
         self._pictures = Pictures(self.crawl, View(width, height, camera_name))
         self._running = False
+        self._spec: EnvSpec | None = None
         self.metadata = self.metadata | {"render_fps": 1 / self.dt}  # one frame per step
 
     @property
     def morphology(self) -> Morphology:
         """Body of the robot. `reset` may change it."""
         return self._episodes.morphology(0)
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """MuJoCo model of the robot, without scenery. `reset` may change it."""
+        return self.crawl.simulation.models[0]
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """Copy of the robot's MuJoCo data. All positions and velocities match `qpos` and `qvel`.
+
+        Changes have no effect on the robot; use `set_state`.
+        """
+        return self.crawl.simulation.data(0)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Specification of the environment. It has the number of steps in an episode."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = self._episodes.limit_steps(spec)
+
+    def get_state(self) -> EpisodeState:
+        """Return everything that the rest of the episode depends on, for `set_state`.
+
+        The state can be pickled. `CaterpillarVectorEnv.set_state` takes it too.
+        """
+        return self._episodes.get_state(_ROW, [self._np_random])
+
+    def set_state(self, state: EpisodeState) -> None:
+        """Continue from a state: body, conditions, motion, springs, clock and random generator.
+
+        Raises:
+            CaterpillarError: the state is that of several robots, or of another number of segments.
+        """
+        self._episodes.set_state(state, _ROW)
+        (generator,) = state.generators
+        self._np_random = make_generator(generator)
+        self._running = True
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the arguments and the state, for `copy.deepcopy` and pickle."""
+        return {**EzPickle.__getstate__(self), "state": self.get_state() if self._running else None}
+
+    def __setstate__(self, data: dict[str, Any]) -> None:
+        EzPickle.__setstate__(self, data)
+        if data["state"] is not None:
+            self.set_state(data["state"])
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -123,7 +182,7 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
     def step(
         self, action: NDArray[Any]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Advance by `frame_skip` gait periods (timing) or control intervals (switch)."""
+        """Advance by `action_repeat` gait periods, or control intervals in switch mode."""
         if not self._running:
             raise CaterpillarError("call reset() before step()")
         observation, reward, terminated, truncated, info = self._episodes.step(
@@ -153,4 +212,6 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
 
 def _scalars(info: dict[str, NDArray[Any]]) -> dict[str, Any]:
     """Return the values of the only robot."""
-    return {key: value.item() for key, value in info.items()}
+    scalars: dict[str, Any] = {key: value.item() for key, value in info.items()}
+    scalars["failure"] = Failure(scalars["failure"])
+    return scalars

@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Literal
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
+from caterpillar_env.arguments import EpisodeConfig
 from caterpillar_env.arrays import Array, Rows
-from caterpillar_env.errors import CaterpillarError, check_choice
-from caterpillar_env.gait import GaitTimings, count_steps
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.gait import MAX_DUTY, GaitTimings, count_steps
 from caterpillar_env.model import joint_names
-from caterpillar_env.morphology import NAMES, Morphology
+from caterpillar_env.morphology import NAMES, Body, Morphology
 from caterpillar_env.observation import observation_names, observe
-from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
+from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S
 from caterpillar_env.pose import BodyState
-from caterpillar_env.randomization import Randomization
-from caterpillar_env.task import STEPS_PER_INTERVAL, Crawl, Failure, OnInterval, Progress
+from caterpillar_env.randomization import Conditions
+from caterpillar_env.task import (
+    STEPS_PER_INTERVAL,
+    Crawl,
+    CrawlState,
+    Failure,
+    OnInterval,
+    Progress,
+)
 
-ActionMode = Literal["timing", "switch"]
 #: Observations, rewards, terminations, truncations and info of R robots; `info` maps keys to arrays.
 Step = tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, NDArray[Any]]]
 
@@ -31,51 +39,25 @@ OBSERVATION_LIMIT = 1000.0
 _AXIAL_NOISE_M = 0.01
 
 
-@dataclass(frozen=True, kw_only=True)
-class EpisodeConfig:
-    """Settings of episodes. For their descriptions, see the arguments of `CaterpillarEnv`.
+class EpisodeState(NamedTuple):
+    """State of R robots in mid-episode: everything that the rest of the episodes depends on."""
 
-    Raises:
-        CaterpillarError: a setting has the wrong type or is out of range.
-    """
+    bodies: tuple[Body, ...]  #: (R,)
+    conditions: tuple[Conditions | None, ...]  #: drawn at reset, (R,)
+    crawl: CrawlState
+    intervals: NDArray[np.int64]  #: control intervals since reset, (R,)
+    generators: tuple[dict[str, Any] | None, ...]  #: state of each random generator, (R,)
 
-    physics: Physics
-    action_mode: ActionMode
-    symmetric: bool
-    gait_period_s: float
-    frame_skip: int
-    episode_s: float
-    max_episode_steps: int | None
-    forward_reward_weight: float
-    ctrl_cost_weight: float
-    failure_cost: float
-    reset_noise_scale: float
-    randomization: Randomization | None
-    terminate_on_failure: bool
-
-    def __post_init__(self) -> None:
-        check_choice("action_mode", self.action_mode, ActionMode)
-        if not isinstance(self.frame_skip, int) or self.frame_skip < 1:
-            raise CaterpillarError(
-                "frame_skip must be a whole number of control intervals (switch) or gait periods "
-                f"(timing), 1 or more; got {self.frame_skip!r}"
-            )
-        for name in (
-            "forward_reward_weight", "ctrl_cost_weight", "failure_cost", "reset_noise_scale"
-        ):  # fmt: skip
-            value = getattr(self, name)
-            if not (isinstance(value, (int, float, np.number)) and 0 <= value < np.inf):
-                raise CaterpillarError(f"{name} must be finite and not negative; got {value!r}")
-        if self.randomization is not None:
-            self.randomization.check(self.physics)
-
-    @classmethod
-    def of(cls, arguments: Mapping[str, Any]) -> EpisodeConfig:
-        """Create the settings from the keyword arguments of an environment."""
-        chosen: dict[str, Any] = {f.name: arguments.get(f.name) for f in fields(cls)}
-        chosen["physics"] = Physics.of(chosen["physics"])
-        chosen["randomization"] = Randomization.of(chosen["randomization"])
-        return cls(**chosen)
+    def rows(self, index: Sequence[int] | Rows) -> EpisodeState:
+        """Return the states of some of the robots. An index may occur several times."""
+        chosen = np.asarray(index)
+        bodies, conditions, generators = (
+            tuple(values[row] for row in chosen)
+            for values in (self.bodies, self.conditions, self.generators)
+        )
+        return EpisodeState(
+            bodies, conditions, self.crawl.rows(chosen), self.intervals[chosen], generators
+        )
 
 
 class Episodes:
@@ -90,20 +72,20 @@ class Episodes:
     def __init__(self, bodies: Sequence[Morphology], config: EpisodeConfig, threads: int) -> None:
         self.config, physics = config, config.physics
         self.crawl = Crawl(bodies, physics, threads, stop_on_failure=config.terminate_on_failure)
-        timing = config.action_mode == "timing"
+        periodic = config.action_mode != "switch"
         period = count_steps(config.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
-        self._step_intervals = config.frame_skip * (period if timing else 1)
+        self._step_intervals = config.action_repeat * (period if periodic else 1)
         self.step_s = self._step_intervals * CONTROL_INTERVAL_S
         self._limit = count_steps(config.episode_s, CONTROL_INTERVAL_S, "episode_s")
         if config.max_episode_steps:
             self._limit = min(self._limit, config.max_episode_steps * self._step_intervals)
-        # In timing mode the observed phase would always be zero.
-        self._clock_s = None if timing else config.gait_period_s
+        # At the start of a gait period, the observed phase would always be zero.
+        self._clock_s = None if periodic else config.gait_period_s
         self._scaled_bodies = np.zeros((len(bodies), len(NAMES)))  # in [-1, 1], as observed
         self._intervals = np.zeros(len(bodies), dtype=np.int64)  # since reset
 
         self.action_space: spaces.Box | spaces.MultiBinary
-        if timing:
+        if periodic:
             size = physics.num_springs if config.symmetric else 2 * physics.num_springs
             self.action_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
         else:
@@ -112,6 +94,12 @@ class Episodes:
         self.observation_space = spaces.Box(
             -OBSERVATION_LIMIT, OBSERVATION_LIMIT, (len(self.observation_names),), np.float32
         )
+
+    def limit_steps(self, spec: EnvSpec | None) -> EnvSpec | None:
+        """Return a specification whose `max_episode_steps` is that of the episodes, if it has none."""
+        if spec is None or spec.max_episode_steps is not None:
+            return spec
+        return replace(spec, max_episode_steps=-(-self._limit // self._step_intervals))
 
     def morphology(self, row: int) -> Morphology:
         """Return the body of a row."""
@@ -143,11 +131,42 @@ class Episodes:
         if config.randomization is not None:
             conditions = [config.randomization.draw(physics, g) for g in generators]
         self.crawl.reset(bodies, rows, conditions=conditions, offset=offset)
-        self._scaled_bodies[rows] = [2.0 * self.morphology(row).to_unit() - 1.0 for row in rows]
+        self._scale_bodies(rows)
         self._intervals[rows] = 0
         state, start = self.crawl.simulation.state(rows), self.crawl.progress(rows)
         zeros = np.zeros(len(rows))
         return self._observe(rows, state, start), _info(state, start, start, zeros, zeros, zeros)
+
+    def get_state(self, rows: Rows, generators: Sequence[np.random.Generator | None]) -> EpisodeState:
+        """Return the state of robots. For the arguments, see `reset`."""
+        simulation = self.crawl.simulation
+        return EpisodeState(
+            tuple(simulation.bodies[row] for row in rows),
+            tuple(simulation.conditions[row] for row in rows),
+            self.crawl.get_state(rows),
+            self._intervals[rows],
+            tuple(None if g is None else dict(g.bit_generator.state) for g in generators),
+        )
+
+    def set_state(self, state: EpisodeState, rows: Rows) -> None:
+        """Set the state of robots, except their generators.
+
+        Raises:
+            CaterpillarError: the number of robots or of segments is wrong.
+        """
+        expected = (len(rows), self.config.physics.num_springs)
+        if state.crawl.simulation.fraction.shape != expected:
+            raise CaterpillarError(
+                f"the state must be that of {expected[0]} robots with {expected[1]} springs each; got "
+                f"{' robots with '.join(map(str, state.crawl.simulation.fraction.shape))} springs"
+            )
+        self.crawl.reset(state.bodies, rows, conditions=state.conditions)
+        self.crawl.set_state(state.crawl, rows)
+        self._scale_bodies(rows)
+        self._intervals[rows] = state.intervals
+
+    def _scale_bodies(self, rows: Rows) -> None:
+        self._scaled_bodies[rows] = [2.0 * self.morphology(row).to_unit() - 1.0 for row in rows]
 
     def step(
         self,
@@ -209,9 +228,20 @@ class Episodes:
         """Return the share of the drive power in the next environment step, (R, steps, springs)."""
         if self.config.action_mode == "switch":
             return np.repeat(actions[:, None], self._step_intervals * STEPS_PER_INTERVAL, axis=1)
-        timings = GaitTimings.from_action(actions, self.config.gait_period_s)
+        timings = self._timings(actions)
         power = timings.of_springs(self.config.physics.num_springs).power(SMA_STEP_S)
-        return np.tile(power, (1, self.config.frame_skip, 1))
+        return np.tile(power, (1, self.config.action_repeat, 1))
+
+    def _timings(self, actions: Array) -> GaitTimings:
+        """Return the gaits of timing or phase actions."""
+        config = self.config
+        if config.action_mode == "timing":
+            return GaitTimings.from_action(actions, config.gait_period_s)
+        shares = np.clip((actions + 1.0) / 2.0, 0.0, 1.0)
+        return GaitTimings.from_phases(
+            shares[:, 0::2], MAX_DUTY * shares[:, 1::2], config.gait_period_s,
+            springs=not config.symmetric,
+        )  # fmt: skip
 
     def _observe(self, rows: Rows, state: BodyState, progress: Progress) -> NDArray[np.float32]:
         seen = observe(
@@ -241,40 +271,14 @@ def _info(
         "energy_j": now.energy_j,
         "body_load": now.body_load,
         "time_s": now.time_s,
-        "failure": np.array([Failure(f).label for f in now.failure], dtype=object),
+        "failure": now.failure,
     }
 
 
-def read_morphologies(value: Any, num_envs: int) -> list[Morphology]:
-    """Return the bodies of `num_envs` robots.
-
-    Args:
-        value: one body for all robots (as for `Morphology.of`), a sequence of bodies, or an array of
-            shape (num_envs, 8).
-        num_envs: number of robots.
-
-    Raises:
-        CaterpillarError: a body is invalid, or the number of bodies is wrong.
-    """
-    if not isinstance(value, (Morphology, Mapping, Sequence)):
-        value = np.atleast_1d(value)
-    if isinstance(value, (Morphology, Mapping)) or (len(value) and np.isscalar(value[0])):
-        return [Morphology.of(value)] * num_envs
-    if len(value) != num_envs:
-        raise CaterpillarError(
-            f"morphology must be one body for all robots, a list of {num_envs} bodies, or an array of "
-            f"shape ({num_envs}, 8); got {len(value)}"
-        )
-    return [Morphology.of(v) for v in value]
-
-
-def check_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) -> dict[str, Any]:
-    """Return the reset options as a new dict.
-
-    Raises:
-        CaterpillarError: a key is not in `known`.
-    """
-    chosen = dict(options or {})
-    if unknown := sorted(set(chosen) - set(known)):
-        raise CaterpillarError(f"reset options are {', '.join(known)}; got {unknown}")
-    return chosen
+def make_generator(state: dict[str, Any] | None) -> np.random.Generator | None:
+    """Return a random generator with a state of `EpisodeState.generators`."""
+    if state is None:
+        return None
+    generator = np.random.Generator(np.random.PCG64())
+    generator.bit_generator.state = state
+    return generator

@@ -7,9 +7,10 @@ for any number of threads.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -20,26 +21,18 @@ from caterpillar_env.arrays import Array, Rows
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import count_steps
 from caterpillar_env.ground import LOADS, STANCE_M, clearances_m, half_axes_m, touching_geoms
+from caterpillar_env.heating import Heating, heat
 from caterpillar_env.machine import cores
 from caterpillar_env.model import ELEMENTS_PER_SEGMENT, ModelBuilder
 from caterpillar_env.morphology import Body
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.pose import BodyState, Pose, SimulationState, Trace
 from caterpillar_env.randomization import Conditions, apply_conditions
-from caterpillar_env.sma import SmaState, SmaStep, advance
+from caterpillar_env.sma import SmaState
 
 _CACHED_BODIES = 256
 _POSITIONS_AND_VELOCITIES = mujoco.mjtStage.mjSTAGE_VEL.value
 FREE_QPOS, FREE_QVEL = 7, 6  # sizes of the head's free joint; the internal joints follow
-
-
-class Heating(NamedTuple):
-    """Thermal states of the springs of R robots in the next K thermal steps."""
-
-    rows: Rows  #: indices of the robots, (R,)
-    springs: SmaStep  #: enthalpy and fraction after each step, (K, R, num_springs)
-    control: Array  #: mean fraction in each physics step (n per thermal step), (R, K n, num_springs)
-    energy_j: Array  #: electrical energy of each thermal step, (K, R)
 
 
 class Simulation:
@@ -54,7 +47,6 @@ class Simulation:
         bodies: body of each row. Only `reset` changes it.
         conditions: conditions of each row; None means those of `physics`.
         models: compiled model of each row, without scenery.
-        engine: the MuJoCo `Batch` that steps the rows. A wrapper that records calls may replace it.
         energy_j: electrical energy of each row since its reset, J, (B,).
         simulated_s: time simulated so far, summed over the rows, s.
 
@@ -78,6 +70,7 @@ class Simulation:
         self.bodies = list(bodies)
         self.conditions: list[Conditions | None] = [None] * size
         self.models = [self._build(body) for body in bodies]
+        self._process = os.getpid()
         self.engine = Batch(self.models[0], size, threads or cores())
         self.engine.set_models(self.models)
         bind = self.engine.bind
@@ -90,7 +83,6 @@ class Simulation:
         self._touching = touching_geoms(self.models[0])
         self._half_axes = np.stack([half_axes_m(model) for model in self.models])
         self._elements = slice(1, 1 + physics.num_segments * ELEMENTS_PER_SEGMENT)
-        self._middles = (np.arange(self._substeps)[:, None] + 0.5) / self._substeps
         self._ambient_c = np.full((size, 1), physics.spring.ambient_c)
         self._sma = SmaState.cold(physics.spring, (size, springs))
         self._steps = np.zeros(size, dtype=np.int64)  # thermal steps since reset
@@ -98,19 +90,35 @@ class Simulation:
         self._load_n = np.zeros((size, 2))  # on feet and skin, mean of the last `advance`
         self.reset()
 
+    @property
+    def engine(self) -> Batch:
+        """The MuJoCo `Batch` that steps the rows. A wrapper that records calls may replace it.
+
+        Raises:
+            CaterpillarError: the process was forked, so that the threads of the batch are missing.
+        """
+        if self._engine.nthread > 1 and os.getpid() != self._process:
+            advice = 'make environments there, use threads=1, or start it with the method "spawn"'
+            raise CaterpillarError(f"a forked process has no threads of this simulation; {advice}")
+        return self._engine
+
+    @engine.setter
+    def engine(self, engine: Batch) -> None:
+        self._engine = engine
+
     def reset(
         self,
         bodies: Sequence[Body] | None = None,
         rows: Rows | None = None,
         *,
-        conditions: Sequence[Conditions] | None = None,
+        conditions: Sequence[Conditions | None] | None = None,
     ) -> None:
         """Return robots to the start: straight along x, at rest and with cold springs.
 
         Args:
             bodies: new body of each of these robots. By default, bodies do not change.
             rows: indices of the robots to reset, (R,); all by default.
-            conditions: conditions of each of these robots; those of `physics` by default.
+            conditions: conditions of each of these robots; None means those of `physics`.
 
         Raises:
             CaterpillarError: the number of bodies differs from the number of rows.
@@ -213,22 +221,15 @@ class Simulation:
         Raises:
             CaterpillarError: `power` has the wrong shape.
         """
-        index, spring = self.rows(rows), self.physics.spring
+        index = self.rows(rows)
         if power.ndim != 3 or power[:, 0].shape != (len(index), self.physics.num_springs):
             raise CaterpillarError(
                 f"power must have shape ({len(index)}, steps, {self.physics.num_springs}); "
                 f"got {power.shape}"
             )
         before = SmaState(self._sma.enthalpy_j_kg[index], self._sma.fraction[index])
-        steps = advance(spring, before, np.swapaxes(power, 0, 1), SMA_STEP_S, self._ambient_c[index])
-        # Interpolate the fraction between thermal steps, at the midpoints of the physics steps.
-        nodes = np.concatenate([before.fraction[:, None], np.swapaxes(steps.fraction, 0, 1)], axis=1)
-        fine = (nodes[:, 1:] - nodes[:, :-1])[:, :, None] * self._middles
-        fine += nodes[:, :-1, None]  # (R, K, n, S)
-        control = fine.reshape(len(index), -1, self.physics.num_springs)
-        return Heating(
-            index, steps, control, steps.power.sum(axis=2) * (spring.drive_power_w * SMA_STEP_S)
-        )
+        ambient_c = self._ambient_c[index]
+        return heat(self.physics.spring, before, power, ambient_c, index, self._substeps)
 
     def advance(
         self,
@@ -331,6 +332,13 @@ class Simulation:
         """Return the MuJoCo generalized positions of a row as a new array, (nq,)."""
         position: Array = self._qpos[row].copy()
         return position
+
+    def data(self, row: int) -> mujoco.MjData:
+        """Return a copy of the MuJoCo data of a row, with positions and velocities up to date."""
+        data = self.engine.get_data(row)
+        mujoco.mj_fwdPosition(self.models[row], data)
+        mujoco.mj_fwdVelocity(self.models[row], data)
+        return data
 
     def rows(self, rows: Rows | None = None) -> Rows:
         """Return `rows`, or the indices of all robots for None."""

@@ -46,6 +46,9 @@ class Failure(IntEnum):
         """Lower-case name, or "ok"."""
         return "ok" if self is Failure.NONE else self.name.lower()
 
+    def __str__(self) -> str:
+        return self.label
+
 
 _MIN_LOAD_N = 1e-6  # below this load, the robot is in the air
 _NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # looking up enum members is slow
@@ -179,7 +182,7 @@ class Crawl:
         bodies: Sequence[Body] | None = None,
         rows: Rows | None = None,
         *,
-        conditions: Sequence[Conditions] | None = None,
+        conditions: Sequence[Conditions | None] | None = None,
         heading_rad: float = 0.0,
         offset: Array | None = None,
     ) -> None:
@@ -188,7 +191,7 @@ class Crawl:
         Args:
             bodies: new body of each of these robots. By default, bodies do not change.
             rows: indices of the robots to reset, (R,); all by default.
-            conditions: conditions of each of these robots; those of `physics` by default.
+            conditions: conditions of each of these robots; None means those of `physics`.
             heading_rad: direction to crawl in, counter-clockwise from world x, rad.
             offset: offset to add to the positions of the internal joints, m or rad, (R, J).
         """

@@ -6,21 +6,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils import EzPickle
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from caterpillar_env.arguments import ActionMode, EpisodeConfig, check_options, read_morphologies
 from caterpillar_env.arrays import Array, Rows
 from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.env import CaterpillarEnv
-from caterpillar_env.episodes import (
-    ActionMode,
-    EpisodeConfig,
-    Episodes,
-    check_options,
-    read_morphologies,
-)
+from caterpillar_env.episodes import Episodes, EpisodeState, make_generator
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
@@ -29,7 +26,7 @@ from caterpillar_env.randomization import Randomization
 from caterpillar_env.task import EPISODE_S
 
 
-class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]]):
+class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], EzPickle):
     """`num_envs` caterpillars stepped together; row i is a `CaterpillarEnv` reset with seed + i.
 
     `reset` has the options `morphology`, see below, and `reset_mask`, a bool array of shape (num_envs,).
@@ -66,7 +63,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         action_mode: ActionMode = "timing",
         symmetric: bool = True,
         gait_period_s: float = GAIT_PERIOD_S,
-        frame_skip: int = 1,
+        action_repeat: int = 1,
         episode_s: float = EPISODE_S,
         max_episode_steps: int | None = None,
         forward_reward_weight: float = 100.0,
@@ -82,7 +79,9 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         height: int = 480,
         camera_name: str = "track",
     ) -> None:
-        config = EpisodeConfig.of(locals())
+        arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
+        EzPickle.__init__(self, **arguments)
+        config = EpisodeConfig.of(arguments)
         if render_mode not in (None, "rgb_array"):
             raise CaterpillarError(
                 f'render_mode of the vector environment must be None or "rgb_array"; got {render_mode!r}'
@@ -101,9 +100,63 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         self.metadata = self.metadata | {"autoreset_mode": self._mode, "render_fps": 1 / self.step_s}
         self.render_mode = render_mode
         self._pictures = Pictures(self.crawl, View(width, height, camera_name))
+        self._spec: EnvSpec | None = None
         self._generators: list[np.random.Generator] = []
         self._done = np.zeros(num_envs, dtype=bool)
         self._observations = np.zeros(self.observation_space.shape or (), dtype=np.float32)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Specification of the environment. It has the number of steps in an episode."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = self._episodes.limit_steps(spec)
+
+    def get_state(self, rows: Rows | None = None) -> EpisodeState:
+        """Return everything that the rest of the episodes depends on, for `set_state`.
+
+        Args:
+            rows: indices of the robots, (R,); all by default.
+
+        Raises:
+            CaterpillarError: `reset` was not called yet.
+        """
+        if not self._generators:
+            raise CaterpillarError("call reset() before get_state()")
+        index = self.crawl.simulation.rows(rows)
+        return self._episodes.get_state(index, [self._generators[row] for row in index])
+
+    def set_state(self, state: EpisodeState, rows: Rows | None = None) -> None:
+        """Continue robots from a state, which may come from other rows or from a `CaterpillarEnv`.
+
+        Args:
+            state: state of R robots. `state.rows([0] * 64)` repeats the first robot 64 times.
+            rows: indices of the robots to change, (R,); all by default.
+
+        Raises:
+            CaterpillarError: the state is that of another number of robots or segments.
+        """
+        index = self.crawl.simulation.rows(rows)
+        self._episodes.set_state(state, index)
+        if not self._generators:
+            self._generators = [np_random(None)[0] for _ in range(self.num_envs)]
+        for row, known in zip(index, state.generators, strict=True):
+            self._generators[row] = make_generator(known) or self._generators[row]
+        self._done[index] = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the arguments and the state, for `copy.deepcopy` and pickle."""
+        state = (self.get_state(), self._done, self._observations) if self._generators else None
+        return {**EzPickle.__getstate__(self), "state": state}
+
+    def __setstate__(self, data: dict[str, Any]) -> None:
+        EzPickle.__setstate__(self, data)
+        if data["state"] is not None:
+            state, done, observations = data["state"]
+            self.set_state(state)
+            self._done, self._observations = done.copy(), observations.copy()
 
     def reset(
         self,

@@ -3,7 +3,7 @@
 import gymnasium
 import numpy as np
 
-from caterpillar_env import Morphology
+from caterpillar_env import Failure, Morphology
 
 NUM_ROBOTS = 8
 PAIRS_ON = np.array([0, 3, 4, 1, 2, 5]) / 6  # shares of the period: a wave from the tail
@@ -23,5 +23,5 @@ while not truncated.all():
     _, _, _, truncated, infos = env.step(np.tile(gait, (NUM_ROBOTS, 1)))
 for body, distance_m, failure in zip(bodies, infos["distance"], infos["failure"], strict=True):
     size = f"segments of {1000 * body.segment_length_m:.1f} mm, {1000 * body.segment_mass_kg:4.1f} g"
-    print(f"{size}: {1000 * distance_m:6.1f} mm, {failure}")
+    print(f"{size}: {1000 * distance_m:6.1f} mm, {Failure(failure)}")
 env.close()

@@ -9,7 +9,7 @@ DUTY = 0.2  # share of the period in which a spring is powered
 
 env = gymnasium.make(
     "caterpillar_env:CaterpillarSMASwitch-v0",
-    frame_skip=2,
+    action_repeat=2,
     episode_s=10.0,
     render_mode="rgb_array",
     width=320,

@@ -14,6 +14,7 @@ from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
+from caterpillar_env.task import Failure
 
 SMALL = Physics(num_segments=2, timestep_s=0.01)
 
@@ -93,10 +94,11 @@ def test_fitness_of_a_body_is_the_mean_of_its_robots_first_episodes(monkeypatch)
     assert designs.model._last_obs == "observations"
     assert designs.model._last_episode_starts.tolist() == [True] * 16
     bodies = env.bodies
-    ends = [{"distance": 0.01 * row, "failure": "ok"} for row in range(16)]
-    ends[3]["failure"] = "tipped"
+    ends = [{"distance": 0.01 * row, "failure": Failure.NONE} for row in range(16)]
+    ends[3]["failure"] = Failure.TIPPED
     ends[5]["distance"] = -0.5
-    for infos in (ends, [{"distance": 9.0, "failure": "ok"}] * 16):  # the second episode is ignored
+    ignored = [{"distance": 9.0, "failure": Failure.NONE}] * 16  # of a second episode
+    for infos in (ends, ignored):
         designs.update_locals({"dones": np.ones(16, dtype=bool), "infos": infos})
         designs._on_step()
     designs.on_rollout_start()

@@ -71,7 +71,7 @@ def test_files_follow_rl_zoos_schema(path):
 def test_bandit_acts_once_per_episode_and_learns_from_as_many_episodes():
     closed = hyperparameters(TrainConfig(mode="timing"))
     bandit = hyperparameters(TrainConfig(mode="timing", open_loop=True))
-    assert bandit.env_kwargs == {"frame_skip": 6}
+    assert bandit.env_kwargs == {"action_repeat": 6}
     assert bandit.model["n_steps"] * 6 == closed.model["n_steps"]
     assert bandit.model["policy_kwargs"] == closed.model["policy_kwargs"]
     # The episode has a single step, so there is nothing to discount.

@@ -7,6 +7,7 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from baselines.vec_env import EPISODE_INFO, CaterpillarVecEnv
 from caterpillar_env.morphology import Morphology
+from caterpillar_env.task import Failure
 
 SMALL = {"num_segments": 2, "timestep_s": 0.01}
 ID = "CaterpillarSMASwitch-v0"
@@ -73,8 +74,8 @@ def test_failure_is_not_a_truncation():
             (i["failure"], i["TimeLimit.truncated"]) for i, d in zip(infos, dones, strict=True) if d
         ]
     env.close()
-    assert {truncated for failure, truncated in seen if failure == "ok"} == {True}
-    assert {truncated for failure, truncated in seen if failure != "ok"} == {False}
+    assert {truncated for failure, truncated in seen if failure == Failure.NONE} == {True}
+    assert {truncated for failure, truncated in seen if failure != Failure.NONE} == {False}
 
 
 def test_simulated_seconds_of_all_rows_are_counted(env):

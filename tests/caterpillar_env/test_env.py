@@ -8,7 +8,7 @@ import pytest
 from caterpillar_env import CaterpillarEnv, Morphology, Physics
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import LOWER, UPPER
-from caterpillar_env.task import Thresholds
+from caterpillar_env.task import Failure, Thresholds
 
 SMALL = Morphology(segment_length_m=0.024, segment_radius_m=0.010, joint_limit_rad=0.4)
 ALL_ON, ALL_OFF = np.ones(12, np.int8), np.zeros(12, np.int8)
@@ -69,15 +69,15 @@ def test_first_observation_describes_the_start():
     expected |= {f"morphology:{n}": u for n, u in zip(SMALL.to_dict(), unit, strict=True)}
     for name, value in seen.items():
         assert value == pytest.approx(expected.get(name, 0.0), abs=1e-6), name
-    assert info["failure"] == "ok"
+    assert info["failure"] == Failure.NONE
     assert info["time_s"] == info["energy_j"] == info["distance"] == 0
 
 
 # Steps
 
 
-def test_timing_step_repeats_the_gait_period_frame_skip_times():
-    env, longer = timing_env(gait_period_s=0.5), timing_env(gait_period_s=0.5, frame_skip=2)
+def test_timing_step_repeats_the_gait_period_action_repeat_times():
+    env, longer = timing_env(gait_period_s=0.5), timing_env(gait_period_s=0.5, action_repeat=2)
     assert (env.dt, longer.dt) == (0.5, 1.0)
     action = some_action(env)
     assert env.step(action)[-1]["time_s"] == pytest.approx(0.5)
@@ -86,8 +86,8 @@ def test_timing_step_repeats_the_gait_period_frame_skip_times():
     np.testing.assert_array_equal(one[0], other[0])
 
 
-def test_switch_step_lasts_frame_skip_intervals():
-    env = switch_env(frame_skip=3)
+def test_switch_step_lasts_action_repeat_intervals():
+    env = switch_env(action_repeat=3)
     assert env.dt == pytest.approx(0.3)
     *_, info = env.step(ALL_OFF)
     assert info["time_s"] == pytest.approx(0.3)
@@ -157,7 +157,7 @@ def test_return_is_the_distance_in_centimetres():
 
 
 def test_energy_costs_its_weight():
-    env = switch_env(forward_reward_weight=0.0, ctrl_cost_weight=2.0, frame_skip=5)
+    env = switch_env(forward_reward_weight=0.0, ctrl_cost_weight=2.0, action_repeat=5)
     env.step(ALL_ON)
     _, reward, *_, info = env.step(ALL_ON)
     watt = 12 * 0.35**2 * 0.98e-6 / (math.pi * 0.15e-3**2 / 4) * 100 * math.pi * 0.47e-3
@@ -192,7 +192,7 @@ def test_failure_ends_the_episode_within_the_step():
     _, reward, terminated, truncated, info = env.step(some_action(env))
     assert terminated
     assert not truncated
-    assert info["failure"] == "jumped"
+    assert info["failure"] == Failure.JUMPED
     assert info["time_s"] == pytest.approx(0.1)
     assert info["reward_failure"] == -5
     assert reward == pytest.approx(info["reward_forward"] - 5)
@@ -207,7 +207,7 @@ def test_failure_can_be_set_not_to_terminate():
     env = fail_at_once(timing_env(terminate_on_failure=False))
     _, _, terminated, _, info = env.step(some_action(env))
     assert not terminated
-    assert info["failure"] == "jumped"
+    assert info["failure"] == Failure.JUMPED
     assert info["time_s"] == pytest.approx(1.0)
 
 
@@ -218,10 +218,10 @@ def test_divergence_always_ends_the_episode(terminate, tmp_path, monkeypatch):
     env.crawl.simulation.place(np.full((1, 18), np.nan))
     observation, reward, terminated, truncated, info = env.step(ALL_OFF)
     assert (terminated, truncated) == (True, False)
-    assert info["failure"] == "diverged"
+    assert info["failure"] == Failure.DIVERGED
     assert math.isfinite(reward)
     assert observation in env.observation_space
-    assert env.reset()[1]["failure"] == "ok"
+    assert env.reset()[1]["failure"] == Failure.NONE
 
 
 def test_episode_is_truncated_at_its_length():
@@ -232,7 +232,7 @@ def test_episode_is_truncated_at_its_length():
 
 
 def test_default_episode_is_thirty_seconds():
-    env = switch_env(frame_skip=299)  # of 0.1 s
+    env = switch_env(action_repeat=299)  # of 0.1 s
     assert env.step(ALL_OFF)[3] is False
     assert env.step(ALL_OFF)[3] is True
 
@@ -336,9 +336,9 @@ def test_unknown_option_error_lists_the_known_options():
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"action_mode": "torque"}, "must be one of timing, switch"),
-        ({"frame_skip": 0}, "frame_skip must be a whole number"),
-        ({"frame_skip": 1.5}, "frame_skip must be a whole number"),
+        ({"action_mode": "torque"}, "must be one of timing, phase, switch"),
+        ({"action_repeat": 0}, "action_repeat must be a whole number"),
+        ({"action_repeat": 1.5}, "action_repeat must be a whole number"),
         ({"failure_cost": -1.0}, "failure_cost must be finite and not negative"),
         ({"ctrl_cost_weight": math.nan}, "ctrl_cost_weight must be finite"),
         ({"reset_noise_scale": math.inf}, "reset_noise_scale must be finite"),

@@ -161,10 +161,14 @@ def conditions_of(env):
 
 def test_rows_sample_and_crawl_like_single_environments():
     vector = gymnasium.make_vec(
-        "CaterpillarSMASwitch-v0", num_envs=3, threads=1, randomization=RANGES, frame_skip=5, **SMALL
+        "CaterpillarSMASwitch-v0", num_envs=3, threads=1, randomization=RANGES, action_repeat=5, **SMALL
     )
     single = gymnasium.make(
-        "CaterpillarSMASwitch-v0", randomization=RANGES, frame_skip=5, disable_env_checker=True, **SMALL
+        "CaterpillarSMASwitch-v0",
+        randomization=RANGES,
+        action_repeat=5,
+        disable_env_checker=True,
+        **SMALL,
     )
     vector.reset(seed=7)
     single.reset(seed=8)

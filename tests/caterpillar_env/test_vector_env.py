@@ -7,6 +7,7 @@ from gymnasium.vector import AutoresetMode
 from caterpillar_env import CaterpillarEnv, CaterpillarVectorEnv, Morphology
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import LOWER, UPPER
+from caterpillar_env.task import Failure
 
 ROWS = 3
 BODIES = [
@@ -18,7 +19,7 @@ BODIES = [
 
 def switch_envs(rows=ROWS, **kwargs):
     """Return rows at the start of episodes of two steps of 0.5 s."""
-    kwargs = {"action_mode": "switch", "frame_skip": 5, "episode_s": 1.0, "threads": 1, **kwargs}
+    kwargs = {"action_mode": "switch", "action_repeat": 5, "episode_s": 1.0, "threads": 1, **kwargs}
     envs = CaterpillarVectorEnv(rows, **kwargs)
     envs.reset(seed=0)
     return envs
@@ -50,7 +51,7 @@ def overturn(envs, row):
 
 @pytest.mark.parametrize("mode", ["timing", "switch"])
 def test_row_equals_the_single_environment_with_its_seed(mode):
-    kwargs = {"action_mode": mode, "frame_skip": 5, "gait_period_s": 1.0, "reset_noise_scale": 0.02}
+    kwargs = {"action_mode": mode, "action_repeat": 5, "gait_period_s": 1.0, "reset_noise_scale": 0.02}
     envs = CaterpillarVectorEnv(ROWS, morphology=BODIES, threads=1, **kwargs)
     observations, infos = envs.reset(seed=10)
     steps = [(observations, infos)]
@@ -159,13 +160,13 @@ def test_next_step_mode_restarts_only_the_row_that_ended():
     overturn(envs, 1)
     _, _, terminated, _, info = envs.step(off())
     assert terminated.tolist() == [False, True, False]
-    assert info["failure"].tolist() == ["ok", "flipped", "ok"]
+    assert info["failure"].tolist() == [Failure.NONE, Failure.FLIPPED, Failure.NONE]
     _, rewards, terminated, _, info = envs.step(off())
     assert info["time_s"].tolist() == [1.0, 0.0, 1.0]
     assert info["reward_failure"].tolist() == [0, 0, 0]
     assert rewards[1] == 0
     assert not terminated.any()
-    assert info["failure"].tolist() == ["ok"] * 3
+    assert info["failure"].tolist() == [Failure.NONE] * 3
 
 
 def test_same_step_mode_returns_the_final_and_the_new_observation():
@@ -184,12 +185,12 @@ def test_same_step_mode_returns_the_final_and_the_new_observation():
     np.testing.assert_array_equal(info["final_obs"][1], last[1])
     assert info["final_obs"][0] is None
     final = info["final_info"]
-    assert final["failure"][1] == "flipped"
+    assert final["failure"][1] == Failure.FLIPPED
     assert final["reward_failure"][1] == -5
     assert final["time_s"][1] == last_info["time_s"][1]
     assert final["_time_s"].tolist() == [False, True, False]
     assert info["time_s"].tolist() == [0.5, 0.0, 0.5]
-    assert info["failure"].tolist() == ["ok"] * 3
+    assert info["failure"].tolist() == [Failure.NONE] * 3
     *_, info = envs.step(off())
     assert info["time_s"].tolist() == [1.0, 0.5, 1.0]
     assert "final_info" not in info
@@ -246,7 +247,7 @@ def test_failure_in_the_last_step_is_not_a_truncation():
 
 def test_shorter_last_step_affects_only_its_row():
     """Episodes that start at different steps have the same length."""
-    envs = switch_envs(2, frame_skip=4, autoreset_mode="Disabled")  # steps of 0.4, 0.4 and 0.2 s
+    envs = switch_envs(2, action_repeat=4, autoreset_mode="Disabled")  # steps of 0.4, 0.4 and 0.2 s
     envs.step(off(2))
     envs.reset(options={"reset_mask": np.array([False, True])})
     envs.step(off(2))

@@ -11,12 +11,12 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
 import caterpillar_env
-from caterpillar_env import Morphology
+from caterpillar_env import Failure, Morphology
 from caterpillar_env.errors import CaterpillarError
 
 IDS = ["CaterpillarSMA-v0", "CaterpillarSMASwitch-v0"]
 SMALL = Morphology(segment_length_m=0.024, segment_radius_m=0.010)
-QUICK = {"gait_period_s": 1.0, "frame_skip": 5}
+QUICK = {"gait_period_s": 1.0, "action_repeat": 5}
 
 
 def made(env_id, **kwargs):
@@ -29,7 +29,7 @@ def made(env_id, **kwargs):
     "kwargs",
     [
         {},
-        {"symmetric": False},
+        {"action_mode": "phase", "symmetric": False},
         {"physics": {"num_segments": 3}},
         {"reset_noise_scale": 0.02, "ctrl_cost_weight": 0.1},
         {"terminate_on_failure": False, "morphology": SMALL.to_dict()},
@@ -117,7 +117,7 @@ def test_types_are_those_of_python(env_id):
     assert type(terminated) is bool
     assert type(truncated) is bool
     for key, value in {**info, **step_info}.items():
-        assert type(value) is (str if key == "failure" else float), key
+        assert type(value) is (Failure if key == "failure" else float), key
     json.dumps(step_info)
 
 
@@ -188,7 +188,7 @@ def test_no_entry_of_an_observation_is_constant(env_id):
     """Every named sense says something about some robot at some time."""
     rng = np.random.default_rng(0)
     bodies = [Morphology.from_unit(u) for u in rng.random((5, 8))]
-    kwargs = {"gait_period_s": 1.5, "frame_skip": 7, "autoreset_mode": "SameStep", "threads": 1}
+    kwargs = {"gait_period_s": 1.5, "action_repeat": 7, "autoreset_mode": "SameStep", "threads": 1}
     envs = gymnasium.make_vec(env_id, 5, morphology=bodies, terminate_on_failure=False, **kwargs)
     seen = [envs.reset(seed=0)[0]]
     actions = [(rng.random(envs.action_space.shape) < 0.7) for _ in range(3)]

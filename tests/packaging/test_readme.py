@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from caterpillar_env import Failure
+
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -17,7 +19,7 @@ def test_python_example_reproduces_the_evolved_robot(tmp_path, monkeypatch):
     names = {}
     exec(compile(example, "README.md", "exec"), names)
     assert len(example.splitlines()) <= 12
-    assert names["info"]["failure"] == "ok"
+    assert names["info"]["failure"] == Failure.NONE
     assert names["info"]["distance"] == names["robot"].fitness_m > 0
 
 

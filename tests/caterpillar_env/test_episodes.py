@@ -1,0 +1,258 @@
+"""States of episodes: everything that the rest of an episode depends on."""
+
+import copy
+import os
+import pickle
+import signal
+import time
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+
+from caterpillar_env import CaterpillarEnv, CaterpillarVectorEnv, GaitTimings, Morphology
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.gait import MAX_DUTY
+from caterpillar_env.task import Failure
+
+SETTINGS = {
+    "action_mode": "switch",
+    "action_repeat": 5,
+    "episode_s": 3.0,
+    "reset_noise_scale": 0.02,
+    "randomization": {"friction": (0.4, 1.0), "mass": (0.8, 1.2)},
+}
+
+
+@pytest.fixture
+def env():
+    """An environment after two steps."""
+    env = CaterpillarEnv(**SETTINGS)
+    env.reset(seed=3, options={"morphology": {"segment_length_m": 0.03}})
+    for action in draw_actions(2, seed=1):
+        env.step(action)
+    return env
+
+
+def draw_actions(count, seed=0):
+    return np.random.default_rng(seed).integers(0, 2, (count, 12))
+
+
+def go_on(env):
+    """The rest of the episode, the start of the next one, and a step of it."""
+    actions = draw_actions(5, seed=2)
+    steps = [env.step(action) for action in actions[:4]]
+    return [*steps, env.reset(), env.step(actions[4])]
+
+
+def assert_same(some, others):
+    for (observation, *rest), (other, *other_rest) in zip(some, others, strict=True):
+        np.testing.assert_array_equal(observation, other)
+        assert rest == other_rest
+
+
+def copy_state(env):
+    branch = CaterpillarEnv(**SETTINGS)
+    branch.set_state(env.get_state())
+    return branch
+
+
+@pytest.mark.parametrize(
+    "branch_of",
+    [copy_state, copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))],
+    ids=["state", "deepcopy", "pickle"],
+)
+def test_both_branches_of_an_episode_go_on_to_the_same_bits(env, branch_of):
+    branch = branch_of(env)
+    assert branch.morphology == env.morphology == Morphology(segment_length_m=0.03)
+    one = go_on(env)
+    assert_same(one, go_on(branch))
+    assert one[3][3]  # truncated after 3 s
+
+
+def test_state_can_be_restored_after_the_episode_went_on(env):
+    state = env.get_state()
+    one = go_on(env)
+    env.set_state(state)
+    assert_same(one, go_on(env))
+
+
+def test_copy_of_an_environment_before_its_reset_needs_one():
+    branch = copy.deepcopy(CaterpillarEnv(**SETTINGS))
+    with pytest.raises(CaterpillarError, match="call reset"):
+        branch.step(draw_actions(1)[0])
+
+
+def test_state_of_one_robot_fills_the_rows_of_a_vector(env):
+    envs = CaterpillarVectorEnv(3, threads=1, **SETTINGS)
+    envs.reset(seed=0)
+    other = envs.get_state(np.array([1]))
+    envs.set_state(env.get_state().rows([0, 0]), np.array([0, 2]))
+    action = draw_actions(1)[0]
+    observations, rewards, *_ = envs.step(np.tile(action, (3, 1)))
+    expected, reward, *_ = env.step(action)
+    np.testing.assert_array_equal(observations[[0, 2]], [expected, expected])
+    assert rewards[[0, 2]].tolist() == [reward, reward]
+    env.set_state(other)
+    np.testing.assert_array_equal(observations[1], env.step(action)[0])
+
+
+@pytest.mark.parametrize("branch_of", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
+def test_copy_of_a_vector_goes_on_to_the_same_bits(branch_of):
+    envs = CaterpillarVectorEnv(2, threads=1, **SETTINGS)
+    envs.reset(seed=0)
+    actions = draw_actions(16).reshape(8, 2, 12)
+    for action in actions[:6]:  # the episodes have ended, and the next step starts new ones
+        ended = envs.step(action)
+    assert ended[3].all()
+    branch = branch_of(envs)
+    for action in actions[6:]:
+        one, other = envs.step(action), branch.step(action)
+        for mine, theirs in zip(one[:4], other[:4], strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+
+
+def test_state_of_another_robot_is_refused(env):
+    longer = CaterpillarEnv(physics={"num_segments": 5})
+    longer.reset(seed=0)
+    with pytest.raises(CaterpillarError, match="1 robots with 12 springs each; got 1 robots with 16"):
+        env.set_state(longer.get_state())
+    with pytest.raises(CaterpillarError, match="got 2 robots with 12 springs"):
+        env.set_state(env.get_state().rows([0, 0]))
+    with pytest.raises(CaterpillarError, match="call reset"):
+        CaterpillarVectorEnv(1).get_state()
+
+
+# MuJoCo's model and data
+
+
+def test_model_and_data_are_those_of_the_robot(env):
+    assert env.model.nq == env.data.qpos.size
+    np.testing.assert_array_equal(env.data.qpos, env.crawl.simulation.qpos(0))
+    assert env.frame_skip * env.model.opt.timestep == pytest.approx(env.dt)
+    data = mujoco.MjData(env.model)
+    data.qpos[:] = env.data.qpos
+    mujoco.mj_kinematics(env.model, data)
+    np.testing.assert_allclose(env.data.body("element3").xpos, data.body("element3").xpos, atol=1e-12)
+
+
+def test_reading_the_data_does_not_disturb_the_robot(env):
+    branch = copy.deepcopy(env)
+    branch.data.qpos[:] = 1.0
+    assert_same(go_on(env), go_on(branch))
+
+
+# Specification
+
+
+@pytest.mark.parametrize(
+    ("env_id", "arguments", "steps"),
+    [
+        ("CaterpillarSMA-v0", {}, 6),
+        ("CaterpillarSMA-v0", {"gait_period_s": 4.0}, 8),  # the last period is cut short
+        ("CaterpillarSMA-v0", {"action_repeat": 6}, 1),
+        ("CaterpillarSMASwitch-v0", {"episode_s": 2.0, "action_repeat": 3}, 7),
+    ],
+)
+def test_specification_has_the_number_of_steps(env_id, arguments, steps):
+    env = gymnasium.make(env_id, **arguments)
+    assert env.spec.max_episode_steps == steps
+    assert gymnasium.make_vec(env_id, num_envs=1, **arguments).spec.max_episode_steps == steps
+    env.reset(seed=0)
+    action = np.zeros(env.action_space.shape, env.action_space.dtype)
+    for number in range(1, steps + 1):
+        *_, truncated, _ = env.step(action)
+        assert truncated == (number == steps)
+
+
+def test_limit_of_the_user_remains():
+    env = gymnasium.make("CaterpillarSMA-v0", max_episode_steps=2)
+    assert env.spec.max_episode_steps == 2
+
+
+def test_time_can_be_observed():
+    env = gymnasium.wrappers.TimeAwareObservation(gymnasium.make("CaterpillarSMA-v0"))
+    size = env.unwrapped.observation_space.shape[0]
+    assert env.reset(seed=0)[0].shape == (size + 1,)
+
+
+# Actions by phase
+
+
+def test_phase_actions_are_delays_and_duties():
+    action = np.random.default_rng(0).uniform(-1, 1, 12).astype(np.float32)
+    shares = (action.astype(float) + 1) / 2
+    gait = GaitTimings.from_phases(shares[0::2], MAX_DUTY * shares[1::2], 5.0)
+    phase, timing = (CaterpillarEnv(action_mode=mode) for mode in ("phase", "timing"))
+    assert phase.action_space == timing.action_space
+    ends = []
+    for env, given in ((phase, action), (timing, gait.to_action())):
+        env.reset(seed=0)
+        ends.append(env.step(given)[0])
+    np.testing.assert_allclose(*ends, atol=1e-3)
+
+
+def test_delay_of_a_right_spring_counts_from_the_left_one():
+    springs = CaterpillarEnv(action_mode="phase", symmetric=False)
+    pairs = CaterpillarEnv(action_mode="phase")
+    action = np.random.default_rng(1).uniform(-1, 1, 12).astype(np.float32)
+    both = np.repeat(action.reshape(6, 1, 2), 2, axis=1)
+    both[:, 1, 0] = -1.0  # no delay
+    ends = []
+    for env, given in ((springs, both.ravel()), (pairs, action)):
+        env.reset(seed=0)
+        ends.append(env.step(given)[0])
+    np.testing.assert_array_equal(*ends)
+
+
+def test_springs_switch_alone_without_symmetric():
+    with pytest.raises(CaterpillarError, match="symmetric = False needs action_mode 'timing' or"):
+        CaterpillarEnv(action_mode="switch", symmetric=False)
+
+
+# Info
+
+
+def test_info_has_numbers_only():
+    envs = gymnasium.make_vec("CaterpillarSMASwitch-v0", num_envs=2, threads=1)
+    _, info = envs.reset(seed=0)
+    assert all(np.issubdtype(value.dtype, np.number) for key, value in info.items() if key[0] != "_")
+    torch = pytest.importorskip("torch")
+    pytest.importorskip("array_api_compat")
+    tensors = gymnasium.wrappers.vector.NumpyToTorch(envs)
+    *_, info = tensors.step(torch.zeros(2, 12, dtype=torch.int8))
+    assert info["failure"].tolist() == [Failure.NONE] * 2
+    single = gymnasium.wrappers.NumpyToTorch(gymnasium.make("CaterpillarSMASwitch-v0"))
+    assert single.reset(seed=0)[1]["failure"] == Failure.NONE
+
+
+def test_failure_prints_its_name():
+    assert f"{Failure.NONE} {Failure.TIPPED}" == "ok tipped"
+
+
+# Forked processes
+
+
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")  # of fork beside threads
+@pytest.mark.parametrize("threads", [1, 2])
+def test_forked_process_steps_or_raises_but_does_not_hang(threads):
+    envs = CaterpillarVectorEnv(2, threads=threads, **SETTINGS)
+    envs.reset(seed=0)
+    child = os.fork()
+    if not child:
+        try:
+            envs.step(draw_actions(2))
+            os._exit(0)
+        except CaterpillarError as error:
+            os._exit(3 if "forked process has no threads" in str(error) else 4)
+    for _ in range(300):
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            break
+        time.sleep(0.1)
+    else:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        pytest.fail("the forked process hangs")
+    assert os.waitstatus_to_exitcode(status) == (0 if threads == 1 else 3)
