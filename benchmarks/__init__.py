@@ -1,1 +1,1 @@
-"""Speed relative to the bare engine; docs/performance.md shows the results."""
+"""Benchmarks and scripts of the developers; docs/results/performance.md shows measured speeds."""

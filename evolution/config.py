@@ -50,11 +50,12 @@ class RunConfig:
     target_m: float | None = None  #: distance in m; stop once a robot reaches it without failing
     optimizer: OptimizerName = "ga"  #: ga: the paper's genetic algorithm; shade: differential evolution
     genome: GenomeKind = "shared"  #: full: timings per spring; per-segment: a body per segment
-    timing: Timing = "on-off"  #: gait genes: times, as in the paper; delay and duty; or one wave
+    timing: Timing = "on-off"  #: gait genes. phase: delays and duties; wave: one lag for all pairs
     prior: Prior = "body"  #: genes with a distribution from the preprocessor; body: as in the paper
     prior_use: PriorUse = "both"  #: uses of the prior in the GA: first generation (init), mutation
-    prior_control: Control = "none"  #: make the prior misleading, for comparison
-    contradictions: Contradictions = "uniform"  #: prior of a gene on which two K_i disagree
+    prior_control: Control = "none"  #: misleading prior. mirrored: peaks reflected; shuffled: permuted
+    #: Prior of a gene on which two design parameters disagree. product: the peak of their product.
+    contradictions: Contradictions = "uniform"
     floor_ratio: float = 3.0  #: ratio of the maximum to the minimum density of a preprocessed gene
     clipping: Clipping = "truncated"  #: how a Gaussian is limited to the bounds of its gene
     objective: ObjectiveName = "distance"  #: quantity to maximize: m, or m per J of electrical energy
@@ -155,7 +156,7 @@ class RunConfig:
         return advance(bodies, timings, self.physics)
 
     def evaluations(self) -> int:
-        """Return the number of genomes that the run evaluates. CMA-ES with restarts evaluates more."""
+        """Return the number of genomes in all generations. CMA-ES with restarts evaluates more."""
         ga = self.ga
         if self.optimizer == "ga":
             return ga.population + (self.generations - 1) * (ga.population - ga.elites)

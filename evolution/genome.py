@@ -60,7 +60,7 @@ class Gene(NamedTuple):
     unit: str
     lower: float
     upper: float
-    parameter: str  #: what the gene describes, of any segment; used by design parameters
+    parameter: str  #: name without the segment or gap, for design parameters
     circular: bool = False  #: whether both bounds mean the same
 
     @property
@@ -79,7 +79,8 @@ class Encoding:
     """Maps genomes to robots, each a body with a gait. All have the same physics.
 
     Raises:
-        CaterpillarError: the kind is unknown, or the period is not a multiple of the control interval.
+        CaterpillarError: the kind or the timing is unknown, they do not go together (`full` and
+            `wave`), or the period is not a multiple of the control interval.
     """
 
     physics: Physics = field(default_factory=Physics)
@@ -162,15 +163,15 @@ class Encoding:
             CaterpillarError: see `check`.
         """
         array = self.check(genomes)
-        body_genes, gait_genes = np.split(array, [self._body_genes], axis=1)
+        body_genes, gait_genes = np.split(array, [self._num_body_genes], axis=1)
         size = len(PARAMETERS)
-        segments = body_genes.reshape(len(array), self._body_genes // size, size)
+        segments = body_genes.reshape(len(array), self._num_body_genes // size, size)
         bodies = [tuple(Morphology.from_unit(segment) for segment in row) for row in segments]
         timings = self._decode_gait(gait_genes)
         return [body if self.kind == "per-segment" else body[0] for body in bodies], timings
 
     @property
-    def _body_genes(self) -> int:
+    def _num_body_genes(self) -> int:
         """Number of morphology genes."""
         bodies = self.physics.num_segments if self.kind == "per-segment" else 1
         return bodies * len(PARAMETERS)
@@ -196,7 +197,7 @@ class Encoding:
         return phases
 
     def values(self, genomes: Array) -> Array:
-        """Return the values of all genes in SI units, (P, n). On and off times are those of the robots.
+        """Return the values of all genes in SI units, (P, n). Times are rounded as in the simulation.
 
         Raises:
             CaterpillarError: see `check`.
@@ -205,7 +206,7 @@ class Encoding:
         array = self.check(genomes)
         values: Array = lower + array * (upper - lower)
         if self.timing == "on-off":
-            first = self._body_genes
+            first = self._num_body_genes
             values[:, first:] = self._decode_gait(array[:, first:]).times_s
         return values
 

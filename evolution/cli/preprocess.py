@@ -30,7 +30,8 @@ class PreprocessArgs:
     json: bool = False
     """Print JSON instead of tables, with values in SI units."""
     out: Path = Path("preprocess.png")
-    """File for the plot of the densities: .png, .svg or .pdf. That of the gait's K_i is beside it."""
+    """File for the plot of the densities: .png, .svg or .pdf. With a prior of the gait, NAME-gait is
+    written beside it."""
     genome: GenomeKind = "shared"
     """Kind of genome. full: separate times for every spring; per-segment: a body for every segment."""
     timing: Timing = "on-off"
@@ -38,9 +39,9 @@ class PreprocessArgs:
     prior: Prior = "body"
     """Genes with a distribution from the preprocessor. body: as in the paper."""
     control: Control = "none"
-    """Make the prior misleading: put every peak at the wrong end, or shuffle the distributions."""
+    """Misleading prior. mirrored: peaks reflected; shuffled: distributions permuted, with seed 0."""
     contradictions: Contradictions = "uniform"
-    """Distribution of genes on which two K_i disagree. product: the peak of the product of the K_i."""
+    """Prior of a gene on which two design parameters disagree. product: the peak of their product."""
     floor_ratio: float = 3.0
     """Ratio of the largest to the smallest density of a preprocessed gene; 3 in the paper."""
     clipping: Clipping = "truncated"
@@ -85,8 +86,9 @@ def preprocess_command(argv: Sequence[str]) -> int:
 
 def _make_table(priors: Sequence[GenePrior], found: Sequence[Search]) -> Table:
     names = [search.parameter.name for search in found]
-    title = "Distributions of the genes (Saunders 2009, Table I)"
+    title = "Distributions of the genes"
     table = Table("gene", "range", *names, "mu", "sigma", "reason", title=title, title_justify="left")
+    table.caption = "+ and -: the K_i is best at high or low values; o: circular gene"
     for prior in priors:
         factor, unit = prior.gene.shown
         data, signs = prior.to_dict(), dict(prior.signs)

@@ -28,8 +28,8 @@ class ReportArgs:
     video: bool = True
     """For a run: write best.mp4, unless it already shows the best robot."""
     all_winners: bool = False
-    """For a study: simulate the best robot of every run again at 0.25 ms and with Runge-Kutta, and
-    report the errors. This takes half a minute per robot on one core."""
+    """For a study: simulate the best robot of every evolution run again at a timestep of 0.25 ms, with
+    the default integrator and with Runge-Kutta. This takes half a minute per robot on one core."""
 
 
 def report_command(argv: Sequence[str]) -> int:
@@ -66,7 +66,7 @@ def write_report(folder: Path, *, all_winners: bool = False) -> None:
     print("\n".join(summarize(analysis)))
     for arm in compared:
         print(
-            f"{arm.arm}, {arm.reference}: median error of {arm.robots - arm.failed} winners "
-            f"{100 * arm.median_error:.1f} %, worst {100 * arm.worst_error:.1f} %; {arm.failed} fail"
+            f"{arm.arm}, {arm.reference}: {arm.failed} of {arm.robots} winners fail; median change of the "
+            f"others {100 * arm.median_change:.1f} %, largest {100 * arm.largest_change:.1f} %"
         )
     print(f"written: {page}", file=sys.stderr)

@@ -27,7 +27,7 @@ class ShadeConfig:
     """
 
     shade_population: int = 30  #: genomes per generation
-    shade_candidates: int = 1  #: candidates per genome; K_5, advance, chooses the one to simulate
+    shade_candidates: int = 1  #: candidates per genome; only the best by prediction is simulated
 
     def __post_init__(self) -> None:
         for name, least in (("shade_population", 4), ("shade_candidates", 1)):
@@ -51,8 +51,8 @@ class Shade(GenerationalOptimizer):
         config: settings of SHADE.
         rng: the only source of randomness.
         circular: whether each gene is circular; by default, none is.
-        predict: a cheap prediction of the fitness, (P,), of genomes (P, n); higher is better. It is
-            needed for more than one candidate.
+        predict: returns a score (P,) of genomes (P, n), to choose among candidates. Higher is better,
+            and a score that is not finite is the worst.
 
     Raises:
         CaterpillarError: there are several candidates and no `predict`.
@@ -99,8 +99,8 @@ class Shade(GenerationalOptimizer):
         if self._predict is None:
             return np.zeros(candidates.shape[1], dtype=np.intp)
         predicted = self._predict(candidates.reshape(-1, candidates.shape[2]))
-        certain = np.where(np.isfinite(predicted), predicted, -np.inf)
-        best: NDArray[np.intp] = certain.reshape(candidates.shape[:2]).argmax(axis=0)
+        scores = np.where(np.isfinite(predicted), predicted, -np.inf)
+        best: NDArray[np.intp] = scores.reshape(candidates.shape[:2]).argmax(axis=0)
         return best
 
     def _mix(self, scale: Array, rate: Array) -> Array:
@@ -147,8 +147,8 @@ class Shade(GenerationalOptimizer):
         n, x, number = self._size, self._genomes, np.arange(self._size)
         order = np.argsort(-self._fitness, kind="stable")
         shares = self._rng.uniform(min(2 / n, _GREEDIEST), _GREEDIEST, n)
-        leaders = np.maximum((shares * n).astype(int), 1)
-        targets = order[(self._rng.random(n) * leaders).astype(int)]
+        num_best = np.maximum((shares * n).astype(int), 1)
+        targets = order[(self._rng.random(n) * num_best).astype(int)]
         one = self._rng.integers(n - 1, size=n)
         one += one >= number  # not the genome itself
         pool = np.concatenate([x, self._former])

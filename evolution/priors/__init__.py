@@ -62,7 +62,8 @@ def make_priors(
     """Return the distribution of each gene. With the prior "body", this is the paper's Table I.
 
     The prior of the gait describes delays and duties. With on and off times, it describes the times of
-    the best wave that begins with the first dorsal pair.
+    the best wave that begins with the first dorsal pair. If there is none, because two K_i disagree, the
+    times stay uniform.
 
     Args:
         encoding: the genes, and the physics that the K_i depend on.
@@ -86,7 +87,7 @@ def make_priors(
     rows = [replace(known.get(gene.parameter, free), gene=gene) for gene in genes]
     shapes = [row.distribution for row in rows]
     if control == "mirrored":
-        shapes = [d.reversed() if isinstance(d, Gaussian) else d for d in shapes]
+        shapes = [d.mirrored() if isinstance(d, Gaussian) else d for d in shapes]
     elif control == "shuffled":
         order = np.random.default_rng([seed, _SHUFFLE]).permutation(len(shapes))
         shapes = [shapes[i] for i in order]

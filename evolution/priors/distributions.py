@@ -66,8 +66,8 @@ class Gaussian(Distribution):
         """Name of the distribution."""
         raise NotImplementedError
 
-    def reversed(self) -> Gaussian:
-        """Return the distribution with its peak at the wrong end of the gene."""
+    def mirrored(self) -> Gaussian:
+        """Return the distribution with its peak reflected about the middle of the gene."""
         return replace(self, mu=1.0 - self.mu)
 
 
@@ -130,7 +130,7 @@ class WrappedGaussian(Gaussian):
         """See `Gaussian.kind`."""
         return "wrapped_gaussian"
 
-    def reversed(self) -> Gaussian:
+    def mirrored(self) -> Gaussian:
         """Return the distribution with its peak on the other side of the circle."""
         return replace(self, mu=(self.mu + 0.5) % 1.0)
 

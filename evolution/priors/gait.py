@@ -1,7 +1,7 @@
 """Key design parameters of the gait in the manner of the paper: K_4, stroke, and K_5, advance.
 
 Both predict how a wave of contractions should look, from the thermal model of the springs and from
-statics. No simulated result enters them.
+statics. Neither is fitted to simulated distances.
 """
 
 from __future__ import annotations
@@ -22,11 +22,14 @@ from evolution.priors.preprocessor import DesignParameter
 from evolution.priors.statics import PlanarChain
 
 INSTANTS = 100  #: instants of a period at which the shape of the robot is computed
-_SEGMENTS = 4  #: of the robot in K_5, which predicts how neighbouring gaps should follow each other
+_SEGMENTS = 4  #: number of segments of the robot in K_5
 
 
 def gait_parameters(physics: Physics, gait_period_s: float) -> tuple[DesignParameter, ...]:
-    """Return K_4 and K_5. The body in K_5 is nominal, as for the genes outside of the paper's K_i."""
+    """Return K_4 and K_5.
+
+    K_5 is that of the nominal body with four segments and equal springs, whatever the robot of the run.
+    """
     chain = replace(physics, num_segments=_SEGMENTS, spring_strengths=None, mismatch_seed=0)
     return _make_parameters(chain, gait_period_s)
 

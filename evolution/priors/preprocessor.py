@@ -120,7 +120,9 @@ def check_floor_ratio(floor_ratio: float) -> None:
 
 
 def search_all(parameters: Sequence[DesignParameter], genes: Sequence[Gene]) -> list[Search]:
-    """Maximize each K_i. Each describes one segment or gap, so its genes are those of any.
+    """Maximize each K_i.
+
+    A K_i describes one segment or gap. Its result holds for the same gene of every segment or gap.
 
     Raises:
         CaterpillarError: two K_i have the same name, a K_i uses an unknown gene, or `search_grid` fails.

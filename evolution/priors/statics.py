@@ -1,8 +1,8 @@
 """A planar, quasi-static model of the crawling robot, for the key design parameter K_5.
 
-The robot is reduced to its sagittal plane: a chain of rigid segments with a pitch hinge (neck) between
-neighbours and a prismatic joint in each segment but the last. A left and a right spring act as one. At
-each instant the chain takes the shape of least energy,
+The robot is reduced to its sagittal plane: a chain of segments with a pitch hinge (neck) between
+neighbours. Each segment but the last has a prismatic joint; apart from it, segments are rigid. A left
+and a right spring act as one. At each instant the chain takes the shape of least energy,
 
     E = springs + necks + prismatic joints + gravity + compression of the feet
         + sum over feet of friction * load * |displacement since the last instant|,

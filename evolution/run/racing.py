@@ -27,20 +27,33 @@ def race(
 ) -> Outcomes:
     """Evaluate a generation of genomes (P, n), and stop those early that are behind.
 
-    The robots that go on continue from their state, so that nothing is simulated twice.
+    The leaders continue from their state, so that nothing is simulated twice.
+
+    Args:
+        genomes: array of shape (P, n) with values in [0, 1].
+        config: the mapping from genomes to robots, and the share and the periods of the race.
+        objective: orders the robots.
+        evaluator: simulates them.
+        on_progress: called with the share that is evaluated, in [0, 1].
+
+    Returns:
+        The outcomes in the order of the genomes, arrays of shape (P,).
+
+    Raises:
+        CaterpillarError: the objective returned a wrong shape or non-finite values.
     """
     encoding, stop_s = config.encoding, config.race_periods * config.gait_period_s
-    goal = math.ceil(config.race_share * len(genomes))
+    count = math.ceil(config.race_share * len(genomes))
     first_s = stop_s * len(genomes)
-    half = first_s / (first_s + (EPISODE_S - stop_s) * goal)  # share of the work
+    first_share = first_s / (first_s + (EPISODE_S - stop_s) * count)  # of the work
     jobs = [Job(chunk, stop_s) for chunk in split(genomes)]
-    results = list(run_jobs(evaluator, encoding, jobs, on_progress, 0.0, half))
+    results = list(run_jobs(evaluator, encoding, jobs, on_progress, 0.0, first_share))
     columns = zip(*(r.outcomes for r in results), strict=True)
     outcomes = Outcomes(*(np.concatenate(column) for column in columns))
     states = CrawlState.join([r.end for r in results if r.end is not None])
-    ahead = leaders(score(objective, outcomes, -np.inf), goal)
+    ahead = leaders(score(objective, outcomes, -np.inf), count)
     jobs = [Job(genomes[rows], EPISODE_S, states.rows(rows)) for rows in split(ahead)]
-    finished = run_jobs(evaluator, encoding, jobs, on_progress, half)
+    finished = run_jobs(evaluator, encoding, jobs, on_progress, first_share)
     for rows, result in zip(split(ahead), finished, strict=True):
         for name, values in result.outcomes._asdict().items():
             getattr(outcomes, name)[rows] = values

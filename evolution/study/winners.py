@@ -73,8 +73,8 @@ class Comparison(NamedTuple):
     reference: str  #: see `REFERENCES`
     robots: int
     failed: int  #: number of robots that fail with these settings
-    median_error: float  #: median relative change of the distance of the others; NaN if there are none
-    worst_error: float
+    median_change: float  #: of the recorded distance, relative, by the others; NaN if there are none
+    largest_change: float  #: the same
 
 
 def compare_winners(analysis: Analysis, folder: Path) -> list[Comparison]:
@@ -127,11 +127,11 @@ def _compare(arm: str, rows: Iterable[dict[str, Any]]) -> list[Comparison]:
     found = []
     for name in REFERENCES if rows else ():
         ends = [row["references"][name] for row in rows]
-        errors = [
+        changes = [
             abs(end["distance_m"] / row["recorded_m"] - 1.0)
             for row, end in zip(rows, ends, strict=True)
             if end["failure"] == "ok"
         ]
-        median, worst = (float(f(errors)) if errors else np.nan for f in (np.median, np.max))
-        found.append(Comparison(arm, name, len(ends), len(ends) - len(errors), median, worst))
+        median, worst = (float(f(changes)) if changes else np.nan for f in (np.median, np.max))
+        found.append(Comparison(arm, name, len(ends), len(ends) - len(changes), median, worst))
     return found

@@ -145,5 +145,5 @@ def test_least_circular_density_is_opposite_to_the_peak():
 
 
 def test_misleading_peaks_are_at_the_other_end_or_across_the_circle():
-    assert ClippedGaussian(0.9, 0.3).reversed() == ClippedGaussian(pytest.approx(0.1), 0.3)
-    assert WrappedGaussian(0.7, 0.3).reversed() == WrappedGaussian(pytest.approx(0.2), 0.3)
+    assert ClippedGaussian(0.9, 0.3).mirrored() == ClippedGaussian(pytest.approx(0.1), 0.3)
+    assert WrappedGaussian(0.7, 0.3).mirrored() == WrappedGaussian(pytest.approx(0.2), 0.3)

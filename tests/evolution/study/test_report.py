@@ -75,5 +75,7 @@ def test_page_shows_every_number_in_its_unit(tmp_path):
 
 def test_page_does_not_derive_given_thresholds_from_pilot_runs(tmp_path):
     config = replace(CONFIG, pilot_seeds=(), thresholds_m=(0.05,))
-    page = report.write(replace(STUDY, config=config, runs={}), [], tmp_path).read_text("utf-8")
+    page = report.write(
+        replace(STUDY, config=config, runs={}, thresholds_m=None), [], tmp_path
+    ).read_text("utf-8")
     assert "over the pilot seeds" not in page
