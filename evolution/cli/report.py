@@ -66,7 +66,8 @@ def write_report(folder: Path, *, all_winners: bool = False) -> None:
     print("\n".join(summarize(analysis)))
     for arm in compared:
         print(
-            f"{arm.arm}, {arm.reference}: {arm.failed} of {arm.robots} winners fail; median change of the "
-            f"others {100 * arm.median_change:.1f} %, largest {100 * arm.largest_change:.1f} %"
+            f"{arm.arm}, {arm.reference}: {arm.failed} of {arm.robots} winners fail; the distance of the "
+            f"others changes by {100 * arm.median_change:.1f} % (median), {100 * arm.largest_change:.1f} % "
+            "(largest)"
         )
     print(f"written: {page}", file=sys.stderr)
