@@ -66,8 +66,8 @@ def write_report(folder: Path, *, all_winners: bool = False) -> None:
     print("\n".join(summarize(analysis)))
     for arm in compared:
         print(
-            f"{arm.arm}, {arm.reference}: {arm.failed} of {arm.robots} winners fail; the distance of the "
-            f"others changes by {100 * arm.median_change:.1f} % (median), {100 * arm.largest_change:.1f} % "
-            "(largest)"
+            f"{arm.arm}, {arm.reference}: {arm.failed} of {arm.robots} winners fail; the distance of "
+            f"others changes by {100 * arm.median_change:.1f} % (median) and at most "
+            f"{100 * arm.largest_change:.1f} %"
         )
     print(f"written: {page}", file=sys.stderr)
