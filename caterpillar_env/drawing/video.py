@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import os
 import subprocess
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -126,11 +126,9 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
     config = config or VideoConfig()
     check_path(path)
     width, height, columns, rows = config.layout(len(recordings))
-    encoding = _ENCODING[path.suffix]
-    fps = encoding["fps"]
+    fps = _ENCODING[path.suffix]["fps"]
     view_length_m = max(r.body_length_m for r in recordings)
     tile = (width - _GAP_PX * (columns - 1)) // columns, (height - _GAP_PX * (rows - 1)) // rows
-    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     view = View(*tile, config.camera)
     with ExitStack() as stack:
         films = []
@@ -141,28 +139,52 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
             recording.draw(renderer, 0.0)  # raise errors before the file is created
             films.append((recording, renderer))
         canvas = np.full((height, width, 3), 255, dtype=np.uint8)
-        stack.callback(partial.unlink, missing_ok=True)
-        comment = f"comment={' '.join(recording.robot.digest for recording in recordings)}"
-        writer = imageio_ffmpeg.write_frames(
-            str(partial), (width, height), macro_block_size=2, **encoding,
-            output_params=["-loglevel", "quiet", *_FILTERS[path.suffix], "-metadata", comment],
-        )  # fmt: skip
-        stack.callback(writer.close)
-        try:
-            writer.send(None)
-            end_s = max(r.duration_s for r in recordings)
-            for time_s in np.arange(math.ceil(end_s * fps / config.speed) + 1) * config.speed / fps:
-                for number, (recording, renderer) in enumerate(films):
-                    row, column = divmod(number, columns)
-                    x, y = column * (tile[0] + _GAP_PX), row * (tile[1] + _GAP_PX)
-                    canvas[y : y + tile[1], x : x + tile[0]] = recording.draw(renderer, time_s)
-                writer.send(canvas)
-            for _ in range(round(_HOLD_S * fps)):
-                writer.send(canvas)
-            writer.close()
-            os.replace(partial, path)
-        except OSError as error:
-            raise CaterpillarError(f"cannot write {path}: {str(error).splitlines()[0]}") from None
+        comment = " ".join(recording.robot.digest for recording in recordings)
+        write = stack.enter_context(open_video(path, (width, height), comment=comment))
+        end_s = max(r.duration_s for r in recordings)
+        for time_s in np.arange(math.ceil(end_s * fps / config.speed) + 1) * config.speed / fps:
+            for number, (recording, renderer) in enumerate(films):
+                row, column = divmod(number, columns)
+                x, y = column * (tile[0] + _GAP_PX), row * (tile[1] + _GAP_PX)
+                canvas[y : y + tile[1], x : x + tile[0]] = recording.draw(renderer, time_s)
+            write(canvas)
+        for _ in range(round(_HOLD_S * fps)):
+            write(canvas)
+
+
+@contextmanager
+def open_video(
+    path: Path, size: tuple[int, int], *, fps: float | None = None, comment: str = ""
+) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
+    """Yield a function that appends a frame to a new video. The file appears when it is complete.
+
+    Args:
+        path: path of the .mp4 or .gif file.
+        size: width and height of the frames, pixels.
+        fps: frames per second; by default 25 (.mp4) or 12.5 (.gif).
+        comment: comment in the metadata.
+
+    Raises:
+        CaterpillarError: writing fails.
+    """
+    encoding = _ENCODING[path.suffix] | ({} if fps is None else {"fps": fps})
+    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
+    writer = imageio_ffmpeg.write_frames(
+        str(partial), size, macro_block_size=2, **encoding,
+        output_params=[
+            "-loglevel", "quiet", *_FILTERS[path.suffix], "-metadata", f"comment={comment}",
+        ],
+    )  # fmt: skip
+    try:
+        writer.send(None)
+        yield writer.send
+        writer.close()
+        os.replace(partial, path)
+    except OSError as error:
+        raise CaterpillarError(f"cannot write {path}: {str(error).splitlines()[0]}") from None
+    finally:
+        writer.close()
+        partial.unlink(missing_ok=True)
 
 
 def is_video_of(path: Path, robot: AnyRobot) -> bool:
