@@ -23,7 +23,7 @@ from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.randomization import Randomization
-from caterpillar_env.task import EPISODE_S
+from caterpillar_env.task import EPISODE_S, OnInterval
 
 
 class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], EzPickle):
@@ -47,6 +47,8 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         episode_s: simulated length of an episode without failure, s.
         observation_names: name of every entry of an observation, in order.
         crawl: the simulated robots: `crawl.progress()`, `crawl.simulation.state()` and so on.
+        on_interval: function to call with the `Trace` of every control interval, or None. A trace has
+            the rows that moved in this interval.
 
     Raises:
         CaterpillarError: an argument has the wrong type or is out of range.
@@ -93,6 +95,7 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         self.crawl = self._episodes.crawl
         self.step_s, self.episode_s = self._episodes.step_s, episode_s
         self.observation_names = self._episodes.observation_names
+        self.on_interval: OnInterval | None = None
         self.single_action_space = self._episodes.action_space
         self.single_observation_space = self._episodes.observation_space
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -213,7 +216,9 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         truncated = np.zeros(self.num_envs, dtype=bool)
         info: dict[str, Any] = {}
         if going.size:
-            observations, reward, failed, timed_out, stepped = self._episodes.step(actions[going], going)
+            observations, reward, failed, timed_out, stepped = self._episodes.step(
+                actions[going], going, self.on_interval
+            )
             self._observations[going], rewards[going] = observations, reward
             terminated[going], truncated[going] = failed, timed_out
             self._merge(info, stepped, going)
