@@ -110,6 +110,20 @@ class GaitTimings:
         on = phase.reshape(delay.shape)
         return cls(period_s, on % 1.0 * period_s, (on + duty) % 1.0 * period_s)
 
+    def to_phases(self, *, springs: bool = False) -> tuple[Array, Array]:
+        """Return delays and duties, as shares of the period in [0, 1), (..., n); see `from_phases`.
+
+        Args:
+            springs: whether these timings are those of springs, instead of pairs.
+        """
+        sides = SPRINGS_PER_GAP // PAIRS_PER_GAP if springs else 1
+        on = (self.on_s / self.period_s).reshape(*self.on_s.shape[:-1], -1, PAIRS_PER_GAP, sides)
+        delay = on.copy()
+        delay[..., 1:] -= on[..., :1]
+        delay[..., 1, 0] -= on[..., 0, 0]
+        delay[..., 1:, 0, 0] -= on[..., :-1, 0, 0]
+        return delay.reshape(self.on_s.shape) % 1.0, (self.off_s - self.on_s) / self.period_s % 1.0
+
     def to_action(self) -> NDArray[np.float32]:
         """Return the action for these timings, shape (..., 2 n), float32; see `from_action`."""
         return (2.0 * self.times_s / self.period_s - 1.0).astype(np.float32)

@@ -20,7 +20,6 @@ The gait genes depend on the timing:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
@@ -232,11 +231,3 @@ def _find_parameter(name: str) -> str:
     if "ventral" in name:
         return "offset"
     return "start" if name.startswith("gap1_") else "lag"
-
-
-def gene_values(bodies: Sequence[Body], timings: GaitTimings) -> Array:
-    """Return the values of all genes of P bodies and their gaits in SI units, (P, n)."""
-    times = timings.times_s.reshape(len(bodies), -1)
-    segments = [body if isinstance(body, tuple) else (body,) for body in bodies]
-    values = [np.concatenate([m.to_array() for m in body]) for body in segments]
-    return np.concatenate([np.reshape(values, (len(bodies), -1)), times], axis=1)

@@ -18,6 +18,7 @@ from caterpillar_env.morphology import PARAMETERS
 from caterpillar_env.robot import Robot
 from caterpillar_env.sma import SmaSpring
 from caterpillar_env.task import Failure
+from evolution.genome import Timing
 from evolution.viewer.fields import Field, fields_of
 from evolution.viewer.scene import RobotScene
 from evolution.viewer.session import Session
@@ -26,6 +27,7 @@ _FRAME_S = 1 / 30
 _LONGEST_FRAME_S = 0.25  # after a longer interruption the robot does not catch up with real time
 _HINTS = {p.name: f"{p.description} ({p.symbol} in the paper); restarts the robot" for p in PARAMETERS}
 _HINTS["friction"] = "friction of feet and elements on the ground; restarts the robot"
+_PHASE_HINT = "share of the period; a delay counts from the dorsal pair of the gap ahead or of the gap"
 _TIME_HINT = "if off is earlier than on, the power stays on beyond the end of the period"
 
 
@@ -35,8 +37,11 @@ class Page:
     Buttons and sliders put functions into a queue. The thread calls them between two frames.
     """
 
-    def __init__(self, client: viser.ClientHandle | viser.ViserServer, robot: Robot) -> None:
+    def __init__(
+        self, client: viser.ClientHandle | viser.ViserServer, robot: Robot, timing: Timing
+    ) -> None:
         self.session = Session(robot)
+        self._fields = fields_of(robot, timing)
         self._client = client
         self._playing = False
         self._shown_s = 0.0  # simulated time of the displayed pose
@@ -63,7 +68,7 @@ class Page:
         buttons.on_click(lambda event: self._queue.put(lambda: self._press(str(event.target.value))))
         self._speed = gui.add_slider("speed", 0.1, 8.0, 0.1, 1.0, hint="1 is real time")
         gui.add_html(_legend(robot.physics.spring))
-        for folder, fields in groupby(fields_of(robot), lambda field: field.folder):
+        for folder, fields in groupby(self._fields, lambda field: field.folder):
             with gui.add_folder(folder or None, expand_by_default=not folder.startswith("segment")):
                 for field in fields:
                     self._add_slider(field, robot)
@@ -71,7 +76,7 @@ class Page:
     def _add_slider(self, field: Field, robot: Robot) -> None:
         gene, (lower, upper), step = field.gene, field.bounds, 10.0**-field.decimals
         label = f"{gene.title}, {gene.shown[1]}".removesuffix(", ")
-        hint = _HINTS.get(gene.name, _TIME_HINT)
+        hint = _HINTS.get(gene.name, _TIME_HINT if gene.unit == "s" else _PHASE_HINT)
         slider = self._client.gui.add_slider(label, lower, upper, step, field.read(robot), hint=hint)
         slider.on_update(lambda _: self._queue.put(lambda: self._change(field, slider.value)))
 

@@ -11,6 +11,7 @@ import viser
 
 from caterpillar_env.morphology import length_m, segments_of
 from caterpillar_env.robot import Robot
+from evolution.genome import Timing
 from evolution.viewer.page import Page
 from evolution.viewer.session import Session
 
@@ -31,13 +32,14 @@ class Viewer:
     Args:
         robot: the first robot of every tab.
         port: port of 127.0.0.1; 0 selects a free port. If it is in use, viser takes the next free one.
+        timing: sliders of the gait, see `fields_of`.
 
     Raises:
         CaterpillarError: the robot's gait cannot be simulated.
     """
 
-    def __init__(self, robot: Robot, port: int) -> None:
-        self._robot = robot
+    def __init__(self, robot: Robot, port: int, timing: Timing = "on-off") -> None:
+        self._robot, self._timing = robot, timing
         self._pages: dict[int, Page] = {}  # by client id; viser's threads add and remove pages
         # viser warns if a tab is closed before it has received all messages.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
@@ -66,7 +68,7 @@ class Viewer:
             page.close()
 
     def _connect(self, client: viser.ClientHandle) -> None:
-        self._pages[client.client_id] = Page(client, self._robot)
+        self._pages[client.client_id] = Page(client, self._robot, self._timing)
         if client.client_id not in self._server.get_clients():
             self._disconnect(client)  # the tab was closed before its page was ready
 

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from caterpillar_env import GaitTimings
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.gait import count_steps, pair_names, spring_names
+from caterpillar_env.gait import MAX_DUTY, count_steps, pair_names, spring_names
 
 PERIOD_S = 3.0
 TIMES = st.floats(0, PERIOD_S)
@@ -166,3 +166,19 @@ def test_count_steps_tolerates_rounding_errors():
 def test_count_steps_rejects_zero_and_fractional_counts(duration_s, step_s):
     with pytest.raises(CaterpillarError, match="whole multiple"):
         count_steps(duration_s, step_s, "it")
+
+
+@pytest.mark.parametrize("springs", [False, True])
+def test_phases_of_a_gait_give_the_same_gait(springs):
+    rng = np.random.default_rng(0)
+    delay, duty = rng.random((3, 12)), rng.uniform(0.0, MAX_DUTY, (3, 12))
+    gait = GaitTimings.from_phases(delay, duty, 4.0, springs=springs)
+    found_delay, found_duty = gait.to_phases(springs=springs)
+    assert found_delay == pytest.approx(delay, abs=1e-12)
+    assert found_duty == pytest.approx(duty, abs=1e-12)
+
+
+def test_delays_count_from_the_gap_ahead_and_from_the_dorsal_pair():
+    gait = GaitTimings.from_phases(np.array([0.1, 0.5, 0.2, 0.9]), np.full(4, 0.25), 10.0)
+    assert gait.on_s == pytest.approx([1.0, 6.0, 3.0, 2.0])
+    assert gait.off_s == pytest.approx([3.5, 8.5, 5.5, 4.5])

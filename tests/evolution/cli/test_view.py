@@ -11,6 +11,8 @@ import urllib.request
 import pytest
 
 from evolution import cli
+from evolution.config import RunConfig
+from evolution.run.journal import Journal
 from evolution.viewer.session import nominal_robot
 
 MAIN = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); \
@@ -78,3 +80,27 @@ def test_without_viser_the_error_names_the_package_to_install(monkeypatch, capsy
     monkeypatch.setitem(sys.modules, "viser", None)
     assert cli.main(["view"]) == 1
     assert "pip install 'caterpillar-sma[view]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("settings", "arguments", "expected"),
+    [
+        ({"timing": "on-off"}, [], "on-off"),
+        ({"timing": "wave"}, [], "phase"),
+        ({"timing": "phase"}, ["--timing", "on-off"], "on-off"),
+    ],
+)
+def test_sliders_are_those_of_the_genes_of_the_run(tmp_path, monkeypatch, settings, arguments, expected):
+    pytest.importorskip("viser")
+    (tmp_path / "run").mkdir()
+    with Journal.create(tmp_path / "run", RunConfig(prior="uniform", **settings).to_dict()):
+        nominal_robot().save(tmp_path / "run" / "best.json")
+    shown = []
+
+    def record(robot, port, timing):
+        shown.append(timing)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("evolution.viewer.server.Viewer", record)
+    assert cli.main(["view", str(tmp_path / "run"), *arguments]) == 130
+    assert shown == [expected]

@@ -56,7 +56,7 @@ class Hand:
 
 @pytest.fixture
 def hand(client):
-    page = Page(client, ROBOT)
+    page = Page(client, ROBOT, "on-off")
     yield Hand(client, page)
     page.close()
 
@@ -146,7 +146,7 @@ def test_values_out_of_bounds_are_clipped(hand, value, radius_m):
 
 def test_closing_ends_the_thread_of_a_crawling_robot(client):
     before = set(threading.enumerate())
-    page = Page(client, ROBOT)
+    page = Page(client, ROBOT, "on-off")
     (thread,) = set(threading.enumerate()) - before
     Hand(client, page).press("Play")
     end_s = time.monotonic() + 20
