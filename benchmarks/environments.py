@@ -4,7 +4,7 @@
     python -m benchmarks.environments --single  # only the single environments
 
 All cases make the same physics steps: the bare engine repeats the recorded engine calls of our
-environment.
+environment. Ant-v5, one of Gymnasium's own environments, is compared with `mj_step` alone.
 """
 
 from __future__ import annotations
@@ -15,11 +15,13 @@ from collections.abc import Callable
 from typing import Any
 
 import gymnasium
+import mujoco
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
 import caterpillar_env  # noqa: F401  registers the environments
 from benchmarks.harness import Step, report, spread, time_steps
 from benchmarks.recorder import EngineCalls, record_calls
+from caterpillar_env.arrays import Array
 
 IDS = {"switch": "CaterpillarSMASwitch-v0", "timing": "CaterpillarSMA-v0"}
 SEED = 0
@@ -81,8 +83,35 @@ def single(mode: str, steps: int, repeats: int) -> dict[str, Any]:
     actions = sample_actions(env.action_space, steps)
     calls = record_env(env, actions)
     costs = time_steps({"ours": run(env, actions), "bare": lambda: calls.begin(1)}, steps, repeats)
+    return _compare(IDS[mode], costs)
+
+
+def ant(steps: int, repeats: int) -> dict[str, Any]:
+    """Compare Gymnasium's Ant-v5 with `mj_step` alone, from the same states with the same controls."""
+    env: Any = gymnasium.make("Ant-v5", terminate_when_unhealthy=False)
+    actions = sample_actions(env.action_space, steps)
+    model, count = env.unwrapped.model, env.unwrapped.frame_skip
+    data = mujoco.MjData(model)
+
+    def begin() -> Step:
+        env.reset(seed=SEED)
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = env.unwrapped.data.qpos, env.unwrapped.data.qvel
+
+        def step(number: int) -> None:
+            data.ctrl[:] = actions[number]
+            mujoco.mj_step(model, data, count)
+
+        return step
+
+    costs = time_steps({"ours": run(env, actions), "bare": begin}, steps, repeats)
+    env.close()
+    return _compare("Ant-v5", costs)
+
+
+def _compare(name: str, costs: dict[str, Array]) -> dict[str, Any]:
     return {
-        "environment": IDS[mode],
+        "environment": name,
         "share of bare": spread(costs["bare"] / costs["ours"]),
         "us per step": spread(1e6 * costs["ours"]),
     }
@@ -96,6 +125,7 @@ def main() -> None:
     parser.add_argument("--single", action="store_true", help="run only the single environments")
     args = parser.parse_args()
     rows = [single("switch", 280, args.repeats), single("timing", 5, args.repeats)]
+    rows.append(ant(280, args.repeats))
     report("single environments", rows)
     if args.single:
         return
