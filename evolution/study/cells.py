@@ -22,7 +22,7 @@ from evolution.run.evaluators import connect_ray
 from evolution.run.journal import read_simulated_s
 from evolution.study.arms import Arm
 from evolution.study.config import Cell, StudyConfig
-from evolution.study.results import read_finished
+from evolution.study.results import read_finished, read_kept
 
 _POLL_S = 0.5
 _Task = tuple[Arm, Path, int, float]  # an arm, and the arguments of `Arm.run`
@@ -138,6 +138,8 @@ def run_study(
 ) -> list[tuple[Cell, str]]:
     """Run all unfinished cells. A cell that fails does not stop the others.
 
+    A cell is finished if its run folder says so, or if the study's table has its evaluations.
+
     Args:
         config: the study.
         folder: its folder (see `evolution.study.config.begin`).
@@ -148,13 +150,13 @@ def run_study(
     Returns:
         The cells that failed, each with its error.
     """
-    cells = config.cells()
+    cells, kept = config.cells(), read_kept(folder)
     with workers:
         pool = ThreadPoolExecutor(workers.count)
         futures: dict[Future[None], Cell] = {}
         try:
             for cell in cells:
-                if read_finished(config, cell, folder) is None:
+                if cell not in kept and read_finished(config, cell, folder) is None:
                     run = cell.folder(folder).resolve()
                     task = (config.arms[cell.arm], run, cell.seed, config.budget_s)
                     futures[pool.submit(workers.run, task)] = cell

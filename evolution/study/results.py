@@ -48,13 +48,18 @@ def read_finished(config: StudyConfig, cell: Cell, study: Path) -> History | Non
     return history if history.finished else None
 
 
+def read_kept(folder: Path) -> dict[Cell, polars.DataFrame]:
+    """Read the evaluations of the runs that an earlier `collect` wrote into the file `DATA`."""
+    file = folder / DATA
+    return dict(_split(polars.read_parquet(file))) if file.exists() else {}
+
+
 def collect(config: StudyConfig, folder: Path) -> Results:
     """Read all finished runs of a study, and write their evaluations into the file `DATA`.
 
     Runs whose folders were deleted are taken from this file if an earlier call wrote it.
     """
-    file = folder / DATA
-    kept = dict(_split(polars.read_parquet(file))) if file.exists() else {}
+    file, kept = folder / DATA, read_kept(folder)
     tables, missing, new = [], [], False
     for cell in config.cells():
         history = read_finished(config, cell, folder)

@@ -375,3 +375,15 @@ def test_report_compares_all_winners_on_request(finished, tmp_path, monkeypatch,
     for arm in SMALL["arms"]:
         assert f"{arm}, 5 ms: " in printed
     assert "simulated again</h2>" in (tmp_path / "study" / "report.html").read_text("utf-8")
+
+
+def test_runs_in_the_table_are_not_repeated_without_their_folders(finished, tmp_path):
+    class Never(Processes):
+        def run(self, task):
+            raise AssertionError("nothing is left to run")
+
+    study = tmp_path / "study"
+    shutil.copytree(finished, study, ignore=shutil.ignore_patterns("cells"))
+    assert run_study(load(study), study, Never(1)) == []
+    before = polars.read_parquet(study / DATA)
+    assert collect(load(study), study).table.equals(before)
