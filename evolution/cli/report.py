@@ -37,6 +37,8 @@ def report_command(argv: Sequence[str]) -> int:
     args = cli.parse(ReportArgs, argv, "report")
     if (args.folder / SETTINGS).is_file():
         write_report(args.folder, all_winners=args.all_winners)
+    elif args.all_winners:
+        raise CaterpillarError(f"--all-winners needs the folder of a study; {args.folder} is not one")
     elif (args.folder / JOURNAL).is_file():
         write_results(History.read(args.folder), cli.console(), video=args.video)
     else:

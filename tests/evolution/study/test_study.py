@@ -387,3 +387,9 @@ def test_runs_in_the_table_are_not_repeated_without_their_folders(finished, tmp_
     assert run_study(load(study), study, Never(1)) == []
     before = polars.read_parquet(study / DATA)
     assert collect(load(study), study).table.equals(before)
+
+
+def test_only_studies_have_winners_to_compare(finished, capsys):
+    run = next((finished / "cells").glob("*/seed-*"))
+    assert cli.main(["report", str(run), "--all-winners"]) == 1
+    assert "--all-winners needs the folder of a study" in " ".join(capsys.readouterr().err.split())
