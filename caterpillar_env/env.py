@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from caterpillar_env.arguments import ActionMode, EpisodeConfig, check_options
 from caterpillar_env.drawing.rendering import Pictures, View
-from caterpillar_env.episodes import Episodes, EpisodeState, make_generator
+from caterpillar_env.episodes import Episodes, EpisodeState, WithSpec, make_generator
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 _ROW = np.array([0])
 
 
-class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle):
+class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle):
     """A soft caterpillar robot whose task is to crawl straight ahead for 30 s.
 
     Registered as `CaterpillarSMA-v0` (timing mode) and `CaterpillarSMASwitch-v0` (switch mode). The page
@@ -111,7 +110,6 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         self.render_mode = render_mode
         self._pictures = Pictures(self.crawl, View(width, height, camera_name))
         self._running = False
-        self._spec: EnvSpec | None = None
         self.metadata = self.metadata | {"render_fps": 1 / self.dt}  # one frame per step
 
     @property
@@ -131,15 +129,6 @@ class CaterpillarEnv(gymnasium.Env[NDArray[np.float32], NDArray[Any]], EzPickle)
         Changes have no effect on the robot; use `set_state`.
         """
         return self.crawl.simulation.data(0)
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """Specification of the environment. It has the number of steps in an episode."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = self._episodes.limit_steps(spec)
 
     def get_state(self) -> EpisodeState:
         """Return everything that the rest of the episode depends on, for `set_state`.

@@ -95,11 +95,10 @@ class Episodes:
             -OBSERVATION_LIMIT, OBSERVATION_LIMIT, (len(self.observation_names),), np.float32
         )
 
-    def limit_steps(self, spec: EnvSpec | None) -> EnvSpec | None:
-        """Return a specification whose `max_episode_steps` is that of the episodes, if it has none."""
-        if spec is None or spec.max_episode_steps is not None:
-            return spec
-        return replace(spec, max_episode_steps=-(-self._limit // self._step_intervals))
+    @property
+    def max_steps(self) -> int:
+        """Number of steps in an episode without failure."""
+        return -(-self._limit // self._step_intervals)
 
     def morphology(self, row: int) -> Morphology:
         """Return the body of a row."""
@@ -251,6 +250,24 @@ class Episodes:
         if not (np.abs(seen) < OBSERVATION_LIMIT).all():
             seen = np.clip(np.nan_to_num(seen), -OBSERVATION_LIMIT, OBSERVATION_LIMIT)
         return seen
+
+
+class WithSpec:
+    """Environment whose specification has the number of steps in an episode."""
+
+    _episodes: Episodes
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Specification of the environment, with `max_episode_steps`."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None and spec.max_episode_steps is None:
+            spec = replace(spec, max_episode_steps=self._episodes.max_steps)
+        self._spec = spec
 
 
 def _info(

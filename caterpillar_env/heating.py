@@ -21,7 +21,7 @@ class Heating(NamedTuple):
 
 
 def heat(
-    spring: SmaSpring, before: SmaState, power: Array, ambient_c: Array, rows: Rows, substeps: int
+    spring: SmaSpring, before: SmaState, power: Array, ambient_c: Array, rows: Rows, middles: Array
 ) -> Heating:
     """Compute the springs of robots for the next K thermal steps.
 
@@ -31,12 +31,11 @@ def heat(
         power: share of the drive power in each thermal step, in [0, 1], (R, K, num_springs).
         ambient_c: air temperature of each robot, degC, (R, 1).
         rows: indices of the robots, (R,).
-        substeps: number n of physics steps in a thermal step.
+        middles: midpoints of the n physics steps, as shares of a thermal step, (n, 1).
     """
     steps = advance(spring, before, np.swapaxes(power, 0, 1), SMA_STEP_S, ambient_c)
     # Interpolate the fraction between thermal steps, at the midpoints of the physics steps.
     nodes = np.concatenate([before.fraction[:, None], np.swapaxes(steps.fraction, 0, 1)], axis=1)
-    middles = (np.arange(substeps)[:, None] + 0.5) / substeps
     fine = (nodes[:, 1:] - nodes[:, :-1])[:, :, None] * middles
     fine += nodes[:, :-1, None]  # (R, K, n, S)
     control = fine.reshape(len(rows), -1, power.shape[2])

@@ -161,13 +161,14 @@ class Robot:
         return replace(self.timings, on_s=self.timings.on_s[None], off_s=self.timings.off_s[None])
 
     @property
-    def _kind(self) -> str:
+    def kind(self) -> str:
+        """What the timings refer to: "springs", or mirrored "pairs"."""
         return "springs" if len(self.timings.on_s) == self.physics.num_springs else "pairs"
 
     @property
     def timed(self) -> list[str]:
         """Names of the mirrored pairs or springs that `timings` refers to."""
-        return _TIMED[self._kind](self.physics.num_segments)
+        return _TIMED[self.kind](self.physics.num_segments)
 
     @property
     def digest(self) -> str:
@@ -188,7 +189,7 @@ class Robot:
             ),
             "gait": {
                 "period_s": timings.period_s,
-                self._kind: {name: {"on_s": on, "off_s": off} for name, on, off in times},
+                self.kind: {name: {"on_s": on, "off_s": off} for name, on, off in times},
             },
             "physics": self.physics.to_dict(),
         }

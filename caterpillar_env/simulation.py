@@ -62,8 +62,7 @@ class Simulation:
                 f"{len(bodies)} bodies and {threads} threads"
             )
         size, springs = len(bodies), physics.num_springs
-        self.physics = physics
-        self.simulated_s = 0.0
+        self.physics, self.simulated_s = physics, 0.0
         self._substeps = count_steps(SMA_STEP_S, physics.timestep_s, "the thermal step")
         # Cache models, because bodies recur (elites, vector environments with one body).
         self._build = lru_cache(_CACHED_BODIES)(ModelBuilder(physics, scenery=False).build)
@@ -83,6 +82,7 @@ class Simulation:
         self._touching = touching_geoms(self.models[0])
         self._half_axes = np.stack([half_axes_m(model) for model in self.models])
         self._elements = slice(1, 1 + physics.num_segments * ELEMENTS_PER_SEGMENT)
+        self._middles = (np.arange(self._substeps)[:, None] + 0.5) / self._substeps
         self._ambient_c = np.full((size, 1), physics.spring.ambient_c)
         self._sma = SmaState.cold(physics.spring, (size, springs))
         self._steps = np.zeros(size, dtype=np.int64)  # thermal steps since reset
@@ -97,7 +97,7 @@ class Simulation:
         Raises:
             CaterpillarError: the process was forked, so that the threads of the batch are missing.
         """
-        if self._engine.nthread > 1 and os.getpid() != self._process:
+        if os.getpid() != self._process and self._engine.nthread > 1:
             advice = 'make environments there, use threads=1, or start it with the method "spawn"'
             raise CaterpillarError(f"a forked process has no threads of this simulation; {advice}")
         return self._engine
@@ -228,8 +228,8 @@ class Simulation:
                 f"got {power.shape}"
             )
         before = SmaState(self._sma.enthalpy_j_kg[index], self._sma.fraction[index])
-        ambient_c = self._ambient_c[index]
-        return heat(self.physics.spring, before, power, ambient_c, index, self._substeps)
+        spring, ambient_c = self.physics.spring, self._ambient_c[index]
+        return heat(spring, before, power, ambient_c, index, self._middles)
 
     def advance(
         self,

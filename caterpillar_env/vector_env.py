@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import EzPickle
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -17,7 +16,7 @@ from caterpillar_env.arguments import ActionMode, EpisodeConfig, check_options, 
 from caterpillar_env.arrays import Array, Rows
 from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.env import CaterpillarEnv
-from caterpillar_env.episodes import Episodes, EpisodeState, make_generator
+from caterpillar_env.episodes import Episodes, EpisodeState, WithSpec, make_generator
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
@@ -26,7 +25,9 @@ from caterpillar_env.randomization import Randomization
 from caterpillar_env.task import EPISODE_S, OnInterval
 
 
-class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], EzPickle):
+class CaterpillarVectorEnv(
+    WithSpec, VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], EzPickle
+):
     """`num_envs` caterpillars stepped together; row i is a `CaterpillarEnv` reset with seed + i.
 
     `reset` has the options `morphology`, see below, and `reset_mask`, a bool array of shape (num_envs,).
@@ -103,19 +104,9 @@ class CaterpillarVectorEnv(VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[
         self.metadata = self.metadata | {"autoreset_mode": self._mode, "render_fps": 1 / self.step_s}
         self.render_mode = render_mode
         self._pictures = Pictures(self.crawl, View(width, height, camera_name))
-        self._spec: EnvSpec | None = None
         self._generators: list[np.random.Generator] = []
         self._done = np.zeros(num_envs, dtype=bool)
         self._observations = np.zeros(self.observation_space.shape or (), dtype=np.float32)
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """Specification of the environment. It has the number of steps in an episode."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = self._episodes.limit_steps(spec)
 
     def get_state(self, rows: Rows | None = None) -> EpisodeState:
         """Return everything that the rest of the episodes depends on, for `set_state`.

@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caterpillar_env.files import write_json
-from caterpillar_env.robot import Robot, simulate
+from caterpillar_env.robot import AnyRobot, Robot, simulate
 from caterpillar_env.task import Failure
 from caterpillar_env.validation.robots import stack_robots
 from evolution.study.analysis import Analysis
 from evolution.study.config import Cell
+from evolution.study.results import Run
 
 REFERENCE_TIMESTEP_S = 0.00025  #: timestep of the reference simulation, see docs/physics.md
 ARTEFACT_SHARE = 0.1  #: largest relative change of distance that is not an artefact
@@ -54,9 +55,9 @@ def find_winners(analysis: Analysis, folder: Path) -> list[Winner]:
     for arm, runs in analysis.runs.items():
         best = max(runs, key=lambda run: run.best_m[-1])
         best_m = float(best.best_m[-1])
-        run_folder = Cell(arm, best.seed).folder(folder)
-        if best_m > 0 and run_folder.exists() and known.get(arm, {}).get("recorded_m") != best_m:
-            robot = analysis.config.arms[arm].robot(run_folder, int(best.best_m.argmax()))
+        is_new = best_m > 0 and known.get(arm, {}).get("recorded_m") != best_m
+        robot = _load_best(analysis, arm, best, folder) if is_new else None
+        if robot is not None:
             file.parent.mkdir(exist_ok=True)
             robot.save(file.with_name(f"{arm}.json"))
             end = robot.simulate(REFERENCE_TIMESTEP_S)
@@ -92,9 +93,7 @@ def compare_winners(analysis: Analysis, folder: Path) -> list[Comparison]:
         missing = [key for key in winners if key not in rows]
         robots = {}
         for key in missing:
-            run_folder = Cell(arm, key[1]).folder(folder)
-            number = int(winners[key].best_m.argmax())
-            robot = analysis.config.arms[arm].robot(run_folder, number) if run_folder.exists() else None
+            robot = _load_best(analysis, arm, winners[key], folder)
             if isinstance(robot, Robot):
                 robots[key] = robot
                 path = folder / "winners" / arm / f"seed-{key[1]}.json"
@@ -105,6 +104,14 @@ def compare_winners(analysis: Analysis, folder: Path) -> list[Comparison]:
             write_json(file, list(rows.values()))
         found += _compare(arm, [rows[key] for key in winners if key in rows])
     return found
+
+
+def _load_best(analysis: Analysis, arm: str, run: Run, folder: Path) -> AnyRobot | None:
+    """Return the best robot of a run within the budget, or None if its run folder is gone."""
+    run_folder = Cell(arm, run.seed).folder(folder)
+    if not run_folder.exists():
+        return None
+    return analysis.config.arms[arm].robot(run_folder, int(run.best_m.argmax()))
 
 
 def _simulate_again(robots: dict[tuple[str, int, float], Robot]) -> dict[tuple[str, int, float], Any]:

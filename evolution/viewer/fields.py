@@ -65,7 +65,7 @@ def fields_of(robot: Robot, timing: Timing = "on-off") -> list[Field]:
     """
     friction = robot.physics.friction
     lower, upper = min(_FRICTION_BOUNDS[0], friction), max(_FRICTION_BOUNDS[1], friction)
-    kind: GenomeKind = "full" if _has_springs(robot) else "shared"
+    kind: GenomeKind = "full" if robot.kind == "springs" else "shared"
     genes = Encoding(robot.physics, robot.timings.period_s, kind, timing).genes
     folders = ["body"]
     if isinstance(robot.morphology, tuple):
@@ -82,7 +82,7 @@ def read_values(robot: Robot, timing: Timing) -> Array:
     segments = body if isinstance(body, tuple) else (body,)
     times = gait.times_s
     if timing == "phase":
-        times = np.stack(gait.to_phases(springs=_has_springs(robot)), axis=-1).ravel()
+        times = np.stack(gait.to_phases(springs=robot.kind == "springs"), axis=-1).ravel()
     return np.concatenate([[robot.physics.friction], *(m.to_array() for m in segments), times])
 
 
@@ -92,13 +92,8 @@ def _with_values(robot: Robot, values: Array, timing: Timing) -> Robot:
     segments = tuple(map(Morphology.of, values[1:end].reshape(-1, size)))
     first, second = values[end::2], values[end + 1 :: 2]
     if timing == "phase":
-        gait = GaitTimings.from_phases(first, second, period_s, springs=_has_springs(robot))
+        gait = GaitTimings.from_phases(first, second, period_s, springs=robot.kind == "springs")
     else:
         gait = GaitTimings(period_s, first, second)
     physics = replace(robot.physics, friction=float(values[0]))
     return Robot(segments if isinstance(body, tuple) else segments[0], gait, physics)
-
-
-def _has_springs(robot: Robot) -> bool:
-    """Return whether the gait has times of springs, instead of mirrored pairs."""
-    return len(robot.timings.on_s) == robot.physics.num_springs
