@@ -33,6 +33,7 @@ from caterpillar_env.task import (
 #: Observations, rewards, terminations, truncations and info of R robots; `info` maps keys to arrays.
 Step = tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, NDArray[Any]]]
 
+_NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # NumPy compares enum members slowly
 #: Bound of every entry of an observation. Entries of healthy robots have a magnitude of about one.
 OBSERVATION_LIMIT = 1000.0
 #: With a reset noise of 1, hinges are displaced by up to 1 rad and axial joints by up to this much.
@@ -188,11 +189,11 @@ class Episodes:
         after = self.crawl.progress(rows)
 
         moved_m = after.distance_m - before.distance_m
-        diverged, failed = after.failure == Failure.DIVERGED, after.failure != Failure.NONE
+        diverged, failed = after.failure == _DIVERGED, after.failure != _NONE
         moved_m[diverged] = 0.0  # positions after a divergence are meaningless
         forward = config.forward_reward_weight * moved_m
         ctrl = -config.ctrl_cost_weight * (after.energy_j - before.energy_j)
-        failure = -config.failure_cost * (failed & (before.failure == Failure.NONE))
+        failure = -config.failure_cost * (failed & (before.failure == _NONE))
         terminated = failed if config.terminate_on_failure else diverged
         state = self.crawl.simulation.state(rows)
         truncated = ~terminated & (self._intervals[rows] >= self._limit)
@@ -217,9 +218,12 @@ class Episodes:
                 f"actions must be numbers of shape {expected[1:]} per robot, {expected} in all; "
                 f"got {got}"
             )
+        switch = self.config.action_mode == "switch"
+        if switch and ((array == 0) | (array == 1)).all():
+            return array
         if not np.isfinite(array).all():
             raise CaterpillarError(f"actions must be finite; got {actions!r}")
-        if self.config.action_mode == "switch" and not ((array == 0) | (array == 1)).all():
+        if switch:
             raise CaterpillarError(f"switch actions must be 0 (off) or 1 (on); got {actions!r}")
         return array
 

@@ -76,5 +76,5 @@ def clearances_m(positions_m: Any, matrices: Any, half_axes_m: Any) -> Array:
         Heights, m, shape (...); negative below the ground.
     """
     reach = matrices[..., 6:] * half_axes_m
-    lowest: Array = positions_m[..., 2] - np.sqrt((reach * reach).sum(axis=-1))
+    lowest: Array = positions_m[..., 2] - np.sqrt(np.add.reduce(reach * reach, axis=-1))
     return lowest

@@ -17,7 +17,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from caterpillar_env.arrays import Array, Rows
+from caterpillar_env.arrays import Array, Rows, cross, select
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import count_steps
 from caterpillar_env.ground import LOADS, STANCE_M, clearances_m, half_axes_m, touching_geoms
@@ -31,6 +31,7 @@ from caterpillar_env.randomization import Conditions, apply_conditions
 from caterpillar_env.sma import SmaState
 
 _CACHED_BODIES = 256
+_VELOCITY = np.array([3, 4, 5, 0, 1, 2])  # linear before angular
 _POSITIONS_AND_VELOCITIES = mujoco.mjtStage.mjSTAGE_VEL.value
 FREE_QPOS, FREE_QVEL = 7, 6  # sizes of the head's free joint; the internal joints follow
 
@@ -78,8 +79,8 @@ class Simulation:
         self._xpos, self._xmat = bind("xpos"), bind("xmat")
         self._com, self._cvel = bind("subtree_com"), bind("cvel")
         self._geom_xpos, self._geom_xmat = bind("geom_xpos"), bind("geom_xmat")
-        self._warning = self.engine.warning
-        self._touching = touching_geoms(self.models[0])
+        touching = touching_geoms(self.models[0])
+        self._touching = slice(touching[0], touching[-1] + 1)  # no other geoms lie in between
         self._half_axes = np.stack([half_axes_m(model) for model in self.models])
         self._elements = slice(1, 1 + physics.num_segments * ELEMENTS_PER_SEGMENT)
         self._middles = (np.arange(self._substeps)[:, None] + 0.5) / self._substeps
@@ -228,8 +229,8 @@ class Simulation:
                 f"got {power.shape}"
             )
         before = SmaState(self._sma.enthalpy_j_kg[index], self._sma.fraction[index])
-        spring, ambient_c = self.physics.spring, self._ambient_c[index]
-        return heat(spring, before, power, ambient_c, index, self._middles)
+        air_c = self._ambient_c[index]
+        return heat(self.physics.spring, before, power, air_c, index, self._middles)
 
     def advance(
         self,
@@ -249,9 +250,9 @@ class Simulation:
             last: index after the last step; by default, all steps are made.
             trace: whether to record and return a trace of the steps.
         """
-        springs, control, energy_j = heating.springs, heating.control, heating.energy_j
+        springs, energy_j = heating.springs, heating.energy_j
         last = len(energy_j) if last is None else last
-        control = control[:, first * self._substeps : last * self._substeps]
+        control = heating.control[:, first * self._substeps : last * self._substeps]
         index: Rows = heating.rows
         chosen: Rows | slice = slice(None)  # a slice makes no copies
         if places is not None and len(places) < len(index):
@@ -262,15 +263,16 @@ class Simulation:
             record=("sensordata", "qpos") if trace else ("sensordata",),
             ids=index,
         )
-        self._steps[index] += last - first
         self.simulated_s += (last - first) * SMA_STEP_S * len(index)
-        self._sma.enthalpy_j_kg[index] = springs.enthalpy_j_kg[last - 1, chosen]
-        self._sma.fraction[index] = springs.fraction[last - 1, chosen]
+        rows = select(index, len(self.bodies))
+        self._steps[rows] += last - first
+        self._sma.enthalpy_j_kg[rows] = springs.enthalpy_j_kg[last - 1, chosen]
+        self._sma.fraction[rows] = springs.fraction[last - 1, chosen]
         loads = np.add.accumulate(record["sensordata"][..., LOADS], axis=1)
-        self._load_n[index] = loads[:, -1] / control.shape[1]
+        self._load_n[rows] = loads[:, -1] / control.shape[1]
         # `np.sum` would add in a different order for a single row.
         before_j, used_j = self.energy_j[index], np.add.accumulate(energy_j[first:last, chosen])
-        self.energy_j[index] = before_j + used_j[-1]
+        self.energy_j[rows] = before_j + used_j[-1]
         if not trace:
             return None
         path = SmaState(springs.enthalpy_j_kg[first:last, chosen], springs.fraction[first:last, chosen])
@@ -286,44 +288,44 @@ class Simulation:
 
     def diverged(self, rows: Rows | None = None) -> NDArray[np.bool_]:
         """Return whether the state is not finite or MuJoCo has warned since reset, (R,)."""
-        index = self.rows(rows)
-        finite = np.isfinite(self._qpos[index]).all(axis=1) & np.isfinite(self._qvel[index]).all(axis=1)
-        diverged: NDArray[np.bool_] = self._warning[index, :, 1].any(axis=1) | ~finite
+        chosen = self._select(rows)
+        # `reduce` is several times faster than `all` and `any`.
+        warned = np.logical_or.reduce(self.engine.warning[chosen, :, 1], axis=1)
+        finite = [np.isfinite(field[chosen]) for field in (self._qpos, self._qvel)]
+        diverged: NDArray[np.bool_] = warned | ~np.logical_and.reduce(np.hstack(finite), axis=1)
         return diverged
 
     def pose(self, rows: Rows | None = None) -> Pose:
         """Return the positions of the rows as new arrays."""
-        index = self.rows(rows)
-        matrices = self._xmat[index, self._elements]
+        chosen = self._select(rows)
+        matrices = self._xmat[chosen, self._elements]
         axes = np.add.reduce(matrices, axis=1) / matrices.shape[1]  # row-major: x, y, z are columns
-        touching = (index[:, None], self._touching)
-        lowest = clearances_m(
-            self._geom_xpos[touching], self._geom_xmat[touching], self._half_axes[index]
-        )
+        centres_m, turns = (f[chosen, self._touching] for f in (self._geom_xpos, self._geom_xmat))
+        lowest = clearances_m(centres_m, turns, self._half_axes[chosen])
         return Pose(
-            time_s=self._steps[index].astype(np.float64) * SMA_STEP_S,
-            com_m=self._com[index, 1],
+            time_s=self._steps[chosen].astype(np.float64) * SMA_STEP_S,
+            com_m=self._com[chosen, 1].copy(),
             up=axes[:, 2::3],
             forward=axes[:, 0::3],
             clearance_m=np.minimum.reduce(lowest, axis=1),
-            load_n=self._load_n[index],
+            load_n=self._load_n[chosen].copy(),
         )
 
     def state(self, rows: Rows | None = None) -> BodyState:
         """Return the positions and velocities of the rows as new arrays."""
-        index = self.rows(rows)
-        pose = self.pose(index)
-        spatial = self._cvel[index, self._elements]  # angular, then linear at the robot's centre of mass
+        pose, chosen = self.pose(rows), self._select(rows)
+        # Angular velocity, then linear velocity at the robot's centre of mass.
+        spatial = self._cvel[chosen, self._elements].copy()
         angular = spatial[..., :3]
-        arm = self._xpos[index, self._elements] - pose.com_m[:, None]
-        spatial[..., 3:] += _cross(angular, arm)
+        arm = self._xpos[chosen, self._elements] - pose.com_m[:, None]
+        spatial[..., 3:] += cross(angular, arm)
         mean = np.add.reduce(spatial, axis=1) / spatial.shape[1]
-        sma = SmaState(self._sma.enthalpy_j_kg[index], self._sma.fraction[index])
+        sma = SmaState(self._sma.enthalpy_j_kg[chosen], self._sma.fraction[chosen].copy())
         return BodyState(
             **vars(pose),
-            velocity=mean[:, [3, 4, 5, 0, 1, 2]],
-            joint_position=self._qpos[index, FREE_QPOS:],
-            joint_velocity=self._qvel[index, FREE_QVEL:],
+            velocity=mean.take(_VELOCITY, axis=1),
+            joint_position=self._qpos[chosen, FREE_QPOS:].copy(),
+            joint_velocity=self._qvel[chosen, FREE_QVEL:].copy(),
             temperature_c=sma.temperature_c(self.physics.spring),
             fraction=sma.fraction,
         )
@@ -344,7 +346,5 @@ class Simulation:
         """Return `rows`, or the indices of all robots for None."""
         return np.arange(len(self.bodies)) if rows is None else rows
 
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return the cross product of (..., 3) arrays, several times faster than `np.cross`."""
-    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
+    def _select(self, rows: Rows | None) -> Rows | slice:
+        return slice(None) if rows is None else select(rows, len(self.bodies))

@@ -86,34 +86,34 @@ class SmaSpring:
                 f"Af {self.austenite_finish_c:g}, cut-off {self.cut_off_c:g} degC"
             )
 
-    @property
+    @cached_property
     def mass_per_m_kg(self) -> float:
         """Mass per metre of wire, m'."""
         return self.density_kg_m3 * math.pi * self.wire_diameter_m**2 / 4
 
-    @property
+    @cached_property
     def resistance_per_m_ohm(self) -> float:
         """Resistance per metre of wire, R'."""
         return self.resistivity_ohm_m / (math.pi * self.wire_diameter_m**2 / 4)
 
-    @property
+    @cached_property
     def drive_power_w(self) -> float:
         """Electrical power of the spring while on, I^2 R' n pi D (for a small helix angle)."""
         wire_length_m = self.turns * math.pi * self.coil_diameter_m
         return self.drive_current_a**2 * self.resistance_per_m_ohm * wire_length_m
 
-    @property
+    @cached_property
     def heating_w_kg(self) -> float:
         """Heating power per kilogram while on, I^2 R' / m'."""
         return self.drive_current_a**2 * self.resistance_per_m_ohm / self.mass_per_m_kg
 
-    @property
+    @cached_property
     def cooling_w_kg_k(self) -> float:
         """Heat loss per kilogram and kelvin above ambient, h s pi d / m'."""
         loss = self.convection_w_m2_k * self.coil_shielding * math.pi * self.wire_diameter_m
         return loss / self.mass_per_m_kg
 
-    @property
+    @cached_property
     def time_constant_s(self) -> float:
         """Thermal time constant outside the transformation, rho c d / (4 h s)."""
         return self.specific_heat_j_kg_k / self.cooling_w_kg_k

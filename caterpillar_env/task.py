@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from caterpillar_env.arrays import Array, Rows
+from caterpillar_env.arrays import Array, Rows, select
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import count_steps
 from caterpillar_env.morphology import Body
@@ -90,17 +90,21 @@ def judge(
         thresholds: thresholds of the failures.
     """
     up = pose.up[:, 2]
+    causes = (  # in order of increasing severity; the last one counts
+        (Failure.SAGGED, body_load, thresholds.sagged_share),
+        (Failure.VEERED, np.abs(heading_rad), thresholds.veered_heading_rad),
+        (Failure.VEERED, np.abs(lateral_m), thresholds.veered_lateral_m),
+        (Failure.JUMPED, pose.clearance_m, thresholds.jumped_clearance_m),
+        (Failure.TIPPED, -up, -thresholds.tipped_up),
+        (Failure.FLIPPED, -up, -thresholds.flipped_up),
+        (Failure.DIVERGED, diverged, 0.5),
+    )
     failure = np.zeros(len(up), dtype=np.int8)
-    for fails, code in (  # in order of increasing severity; later ones override
-        (body_load > thresholds.sagged_share, Failure.SAGGED),
-        (np.abs(heading_rad) > thresholds.veered_heading_rad, Failure.VEERED),
-        (np.abs(lateral_m) > thresholds.veered_lateral_m, Failure.VEERED),
-        (pose.clearance_m > thresholds.jumped_clearance_m, Failure.JUMPED),
-        (up < thresholds.tipped_up, Failure.TIPPED),
-        (up < thresholds.flipped_up, Failure.FLIPPED),
-        (diverged, Failure.DIVERGED),
-    ):
-        failure[fails] = code
+    codes, values, limits = zip(*causes, strict=True)
+    over = np.array(values) > np.array(limits)[:, None]
+    if over.any():
+        for code, fails in zip(codes, over, strict=True):
+            failure[fails] = code
     return failure
 
 
@@ -278,7 +282,7 @@ class Crawl:
             trace = self.simulation.advance(
                 heating, places, first, first + STEPS_PER_INTERVAL, trace=on_interval is not None
             )
-            moved = index[places]
+            moved = index if len(places) == len(index) else index[places]
             self._judge(moved)
             if on_interval is not None and trace is not None:
                 on_interval(trace)
@@ -295,35 +299,39 @@ class Crawl:
 
     def _measure(self, index: Rows, pose: Pose) -> Array:
         """Return the first six fields of `Progress`, (R, 6)."""
+        chosen = self._select(index)
         measured = np.empty((len(index), 6))
         both = np.empty((len(index), 2, 2))  # displacement and forward axis
-        np.subtract(pose.com_m[:, :2], self._start_m[index], out=both[:, 0])
+        np.subtract(pose.com_m[:, :2], self._start_m[chosen], out=both[:, 0])
         both[:, 1] = pose.forward[:, :2]
-        cosine, sine = self._direction[index].T[..., None]
+        cosine, sine = self._direction[chosen].T[..., None]
         x, y = both[..., 0], both[..., 1]
         along, across = x * cosine + y * sine, y * cosine - x * sine
         measured[:, 0] = pose.time_s
         measured[:, 1], measured[:, 2] = along[:, 0], across[:, 0]
         np.arctan2(across[:, 1], along[:, 1], out=measured[:, 3])
-        measured[:, 4] = self.simulation.energy_j[index]
-        measured[:, 5] = self._borne_s[index] / np.maximum(pose.time_s, EPISODE_S)
+        measured[:, 4] = self.simulation.energy_j[chosen]
+        measured[:, 5] = self._borne_s[chosen] / np.maximum(pose.time_s, EPISODE_S)
         return measured
 
     def _judge(self, index: Rows) -> None:
-        pose = self.simulation.pose(index)
+        pose, chosen = self.simulation.pose(index), self._select(index)
         feet_n, body_n = pose.load_n.T
         share = body_n / np.maximum(feet_n + body_n, _MIN_LOAD_N)
-        self._borne_s[index] += np.maximum(share, 0.0) * CONTROL_INTERVAL_S
-        measured = self._measured[index] = self._measure(index, pose)
+        self._borne_s[chosen] += np.maximum(share, 0.0) * CONTROL_INTERVAL_S
+        measured = self._measured[chosen] = self._measure(index, pose)
         _, _, lateral_m, heading_rad, _, body_load = measured.T
         diverged = self.simulation.diverged(index)
         found = judge(pose, lateral_m, heading_rad, body_load, diverged, self.thresholds)
         if found.any():
             # Keep the first failure, but let a later divergence replace it.
-            keep = (self.failure[index] != _NONE) & (found != _DIVERGED)
-            self.failure[index] = np.where(keep, self.failure[index], found)
+            keep = (self.failure[chosen] != _NONE) & (found != _DIVERGED)
+            self.failure[chosen] = np.where(keep, self.failure[chosen], found)
+
+    def _select(self, index: Rows) -> Rows | slice:
+        return select(index, len(self.failure))
 
     def _stopped(self, index: Rows) -> NDArray[np.bool_]:
-        code = self.failure[index]
+        code = self.failure[self._select(index)]
         stopped: NDArray[np.bool_] = code != _NONE if self.stop_on_failure else code == _DIVERGED
         return stopped

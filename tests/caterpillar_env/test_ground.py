@@ -38,6 +38,12 @@ def test_only_feet_and_shells_touch_the_ground():
     assert (half_axes_m(model)[feet] == 0.002).all()
 
 
+def test_without_scenery_the_geoms_of_the_robot_follow_each_other():
+    """`Simulation` reads them as one range."""
+    geoms = touching_geoms(build_model(Morphology(), Physics(), scenery=False))
+    np.testing.assert_array_equal(geoms, np.arange(geoms[0], geoms[0] + 16))
+
+
 def test_feet_bear_the_weight_of_a_straight_robot():
     model = build_model(Morphology(), Physics())
     data = mujoco.MjData(model)
