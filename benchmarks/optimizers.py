@@ -1,0 +1,229 @@
+"""Compare optimizers of several packages on the search for a crawling robot.
+
+    pip install cmaes minionpy
+    python -m benchmarks.optimizers --out runs/optimizers               # all optimizers, ten seeds
+    python -m benchmarks.optimizers l-shade lra-cma-es --seeds 0,1      # some of them
+
+All optimizers search waves with the priors of body and gait, and spend the same simulated time. Racing
+stops two thirds of each generation early. Ten seeds of one optimizer take about 20 minutes on two cores.
+The runs are kept in the folder: the same command continues, and prints the table of what is there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import queue
+import threading
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import report
+from caterpillar_env.arrays import Array
+from caterpillar_env.machine import cores
+from evolution import GaConfig, LocalEvaluator, RunConfig, ShadeConfig, evolve, load, resume
+from evolution.optimizers.base import Optimizer
+from evolution.optimizers.ga import GeneticAlgorithm
+from evolution.priors.distributions import Gaussian, draw
+from evolution.study.statistics import bootstrap, expected_running_time
+
+BUDGET_S = 9000.0
+THRESHOLDS_M = (0.13, 0.2)
+BASE = RunConfig(
+    timing="wave", prior="body+gait", race_share=0.34, budget_s=BUDGET_S, generations=100_000,
+    ga=GaConfig(population=30, hall_of_fame=2), shade=ShadeConfig(15),
+)  # fmt: skip
+_POPULATION = 30
+_EVALUATIONS = 550  #: about as many as fit into the budget, for optimizers that plan ahead
+_CREEP = 0.05  #: standard deviation of a creep mutation, as a share of the range
+_CREEP_RATE = 0.2  #: probability that a gene creeps
+
+
+class Asked:
+    """Ask/tell interface of a function that minimizes a function of genomes (P, n) -> (P,).
+
+    The function runs in a thread of its own, which ends with the process.
+    """
+
+    def __init__(self, minimize: Callable[[Callable[[Any], list[float]]], Any]) -> None:
+        self._genomes: queue.Queue[Array] = queue.Queue()
+        self._costs: queue.Queue[list[float]] = queue.Queue()
+        self._thread = threading.Thread(target=minimize, args=(self._evaluate,), daemon=True)
+
+    def _evaluate(self, genomes: Any) -> list[float]:
+        self._genomes.put(np.clip(np.atleast_2d(np.asarray(genomes, dtype=float)), 0.0, 1.0))
+        return self._costs.get()
+
+    def ask(self) -> Array:
+        """Return the genomes that the function wants to know, (P, n)."""
+        if not self._thread.ident:
+            self._thread.start()
+        return self._genomes.get(timeout=60)
+
+    def tell(self, genomes: Array, fitness: Array) -> None:
+        """Return their costs to the function."""
+        self._costs.put((-fitness).tolist())
+
+
+def start(config: RunConfig) -> tuple[Array, Array]:
+    """Return the peak and the width of each gene's prior, where an evolution strategy begins."""
+    shapes = config.distributions()
+    peaks = [d.mu if isinstance(d, Gaussian) else 0.5 for d in shapes]
+    widths = [min(d.sigma, 0.3) if isinstance(d, Gaussian) else 0.3 for d in shapes]
+    return np.clip(peaks, 0.05, 0.95), np.array(widths)
+
+
+class LearningRate:
+    """LRA-CMA-ES of cmaes: adapts its learning rate to noisy and multimodal functions."""
+
+    def __init__(self, config: RunConfig) -> None:
+        import cmaes
+
+        peaks, widths = start(config)
+        self._strategy = cmaes.CMA(
+            peaks, 1.0, np.tile([0.0, 1.0], (len(peaks), 1)), cov=np.diag(widths**2),
+            seed=config.seed, lr_adapt=True,
+        )  # fmt: skip
+
+    def ask(self) -> Array:
+        """Return the genomes of a generation, (P, n)."""
+        return np.array([self._strategy.ask() for _ in range(self._strategy.population_size)])
+
+    def tell(self, genomes: Array, fitness: Array) -> None:
+        """Receive their fitness, (P,)."""
+        self._strategy.tell([(g, -f) for g, f in zip(genomes, fitness.tolist(), strict=True)])
+
+
+class Creep(GeneticAlgorithm):
+    """Genetic algorithm whose mutation moves a gene by a small step instead of redrawing it."""
+
+    def __init__(self, config: RunConfig) -> None:
+        rng, shapes = np.random.default_rng(config.seed), config.distributions()
+        super().__init__(shapes, shapes, replace(config.ga, mutation_rate=0.0), rng)
+        self._circular = [gene.circular for gene in config.encoding.genes]
+
+    def _breed(self, count: int) -> Array:
+        children = super()._breed(count)
+        crept = children + _CREEP * self._rng.standard_normal(children.shape)
+        crept = np.where(self._circular, crept % 1.0, np.clip(crept, 0.0, 1.0))
+        return np.where(self._rng.random(children.shape) < _CREEP_RATE, crept, children)
+
+
+def lq_surrogate(config: RunConfig) -> Asked:
+    """Return lq-CMA-ES of pycma, with a linear-quadratic surrogate and restarts."""
+    import cma
+
+    peaks, widths = start(config)
+    options = {
+        "bounds": [0.0, 1.0], "CMA_stds": widths / 0.3, "seed": config.seed + 1, "verbose": -9,
+        "verb_log": 0,
+    }  # fmt: skip
+    return Asked(
+        lambda function: cma.fmin_lq_surr2(lambda x: function([x])[0], peaks, 0.3, options, restarts=100)
+    )
+
+
+def from_minion(name: str, config: RunConfig, first: Array, options: dict[str, Any]) -> Asked:
+    """Return an optimizer of minionpy that begins with the genomes `first`, (P, n)."""
+    import minionpy
+
+    def minimize(function: Callable[[Any], list[float]]) -> None:
+        bounds = [(0.0, 1.0)] * first.shape[1]
+        maker = getattr(minionpy, name)
+        maker(
+            function, bounds, first.tolist(), maxevals=_EVALUATIONS, seed=config.seed, options=options
+        ).optimize()
+
+    return Asked(minimize)
+
+
+def l_shade(config: RunConfig) -> Asked:
+    """Return L-SHADE of minionpy: SHADE with a population that shrinks."""
+    rng = np.random.default_rng(config.seed)
+    first = draw(config.distributions(), rng, _POPULATION)
+    return from_minion("LSHADE", config, first, {"population_size": _POPULATION})
+
+
+def bipop(config: RunConfig) -> Asked:
+    """Return BIPOP-aCMA-ES of minionpy: restarts with large and small populations."""
+    return from_minion("BIPOP_aCMAES", config, start(config)[0][None], {"rel_initial_step": 0.15})
+
+
+OURS = {
+    "shade": replace(BASE, optimizer="shade"),
+    "ga": replace(BASE, optimizer="ga"),
+    "cma-es": replace(BASE, optimizer="cma-es"),
+}
+OTHERS: dict[str, Callable[[RunConfig], Optimizer]] = {
+    "ga-creep": Creep,
+    "bipop-cma-es": bipop,
+    "lra-cma-es": LearningRate,
+    "lq-cma-es": lq_surrogate,
+    "l-shade": l_shade,
+}
+NAMES = (*OURS, *OTHERS)
+
+
+def run(name: str, seed: int, out: Path) -> None:
+    """Make or continue a run."""
+    config = replace(OURS.get(name, BASE), seed=seed)
+    folder, optimizer = out / name / f"seed-{seed}", None
+    if name in OTHERS:
+        optimizer = OTHERS[name](config)
+    if folder.exists():
+        resume(folder, optimizer=optimizer, evaluator=LocalEvaluator(1))
+    else:
+        evolve(config, folder, optimizer=optimizer, evaluator=LocalEvaluator(1))
+
+
+def summarize(name: str, folders: list[Path]) -> dict[str, Any]:
+    """Return the row of an optimizer from its finished runs."""
+    best_m, times = [], []
+    for folder in folders:
+        table = load(folder).table()
+        spent_s = table["simulated_s"].cum_sum().to_numpy()
+        complete = ((table["failure"] == "ok") & ~table["stopped"]).to_numpy()
+        crawled = complete & (spent_s <= BUDGET_S)
+        far_m = np.maximum.accumulate(np.where(crawled, table["distance_m"], 0.0))
+        best_m.append(far_m[-1])
+        times.append([next(iter(spent_s[far_m >= t]), np.inf) for t in THRESHOLDS_M])
+    row: dict[str, Any] = {"optimizer": name, "runs": len(folders)}
+    median = bootstrap(np.median, (1000 * np.array(best_m),))
+    row["median, mm"] = f"{median.value:.0f} ({median.low:.0f} to {median.high:.0f})"
+    row["range, mm"] = f"{1000 * min(best_m):.0f} to {1000 * max(best_m):.0f}"
+    for threshold_m, time_s in zip(THRESHOLDS_M, np.array(times).T, strict=True):
+        reached = np.isfinite(time_s)
+        ert = expected_running_time(np.minimum(time_s, BUDGET_S), reached)
+        row[f"ERT to {1000 * threshold_m:.0f} mm, s"] = f"{ert:,.0f} ({reached.sum()} reached)"
+    return row
+
+
+def main() -> None:
+    """Make the missing runs, and print a table of all finished ones."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", default=NAMES, help=f"of {', '.join(NAMES)}")
+    parser.add_argument("--seeds", default="0,1,2,3,4,5,6,7,8,9")
+    parser.add_argument("--out", type=Path, default=Path("runs/optimizers"))
+    args = parser.parse_args()
+    seeds = [int(seed) for seed in args.seeds.split(",")]
+    with ProcessPoolExecutor(cores(), get_context("spawn"), max_tasks_per_child=1) as pool:
+        # Seed by seed, so that an early end leaves as many runs of each optimizer.
+        started = [pool.submit(run, name, seed, args.out) for seed in seeds for name in args.names]
+        for future in started:
+            future.result()
+    rows = []
+    for name in NAMES:
+        folders = [f.parent for f in sorted(args.out.glob(f"{name}/*/best.json"))]
+        folders = [f for f in folders if load(f).finished]
+        if folders:
+            rows.append(summarize(name, folders))
+    report("optimizers", rows)
+
+
+if __name__ == "__main__":
+    main()
