@@ -73,6 +73,51 @@ def test_circular_genes_pass_from_one_to_zero():
     assert np.median(away) < 0.02
 
 
+def test_differences_of_circular_genes_are_the_shorter_ones():
+    genes = [WrappedGaussian.with_floor(0.1)]
+    optimizer = started(genes=genes, circular=[True])
+    first = np.tile([0.02, 0.98], DRAWS * SIZE // 2)[:, None]  # on both sides of 0
+    optimizer.ask()
+    optimizer._asked = first
+    optimizer.tell(first, np.zeros(len(first)))
+    trials = optimizer.ask()
+    assert np.abs((trials + 0.5) % 1 - 0.5).max() < 0.2
+
+
+def test_trial_that_is_as_good_replaces_the_genome():
+    first, trials, again = run(started(), 3, lambda x: np.zeros(len(x)))
+    best = first[:SIZE]
+    assert (again == trials).any()
+    assert not ((again == best) & (trials != best)).any()
+
+
+@pytest.mark.parametrize("gains", [(1, 1), (3, 1)])
+def test_memory_holds_the_lehmer_mean_of_what_helped(monkeypatch, gains):
+    """Tanabe and Fukunaga 2013: sum of w F^2 over sum of w F, with the gains as weights."""
+    used = np.full((2, SIZE), 0.9)
+    used[:, 0] = 0.5
+    optimizer = started()
+    run(optimizer, 1, lambda x: np.zeros(len(x)))
+    monkeypatch.setattr(optimizer, "_draw_settings", lambda: used)
+    trials = optimizer.ask()
+    optimizer.tell(trials, np.array([*gains, *[-1] * (SIZE - 2)], dtype=float))
+    expected = (gains[0] * 0.25 + gains[1] * 0.81) / (gains[0] * 0.5 + gains[1] * 0.9)
+    np.testing.assert_allclose(optimizer._memory[:, 0], expected)
+    np.testing.assert_array_equal(optimizer._memory[:, 1:], 0.5)
+
+
+def test_memory_learns_from_the_candidate_that_was_proposed(monkeypatch):
+    def predict(genomes):  # the last candidate of each genome is the most promising
+        return np.repeat([0.0, 1.0], len(genomes) // 2)
+
+    optimizer = started(candidates=2, predict=predict)
+    run(optimizer, 1, lambda x: np.zeros(len(x)))
+    settings = iter([np.full((2, SIZE), 0.1), np.full((2, SIZE), 0.7)])
+    monkeypatch.setattr(optimizer, "_draw_settings", lambda: next(settings))
+    run(optimizer, 1, lambda x: np.ones(len(x)))
+    np.testing.assert_allclose(optimizer._memory[:, 0], 0.7)
+
+
 def test_same_seed_gives_the_same_genomes():
     one, two, other = (run(started(seed), 20, sphere) for seed in (3, 3, 4))
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from caterpillar_env.physics import Physics
+from caterpillar_env.task import Failure
 from evolution import History, RunConfig, evolve, resume
 from evolution.optimizers.ga import GaConfig
 from evolution.run.evaluators import Job, LocalEvaluator, evaluate, run_job
@@ -72,6 +73,23 @@ def test_state_in_mid_episode_continues_bit_for_bit(complete):
     rest = run_job(Job(GENOMES[rows], 30.0, half.end.rows(rows)), ENCODING, threads=2)
     for one, other in zip(rest.outcomes, complete, strict=True):
         np.testing.assert_array_equal(one, other[rows])
+
+
+class WithFailures(LocalEvaluator):
+    """Calls the first four robots failed after two periods, far ahead of the others."""
+
+    def map(self, encoding, jobs, on_progress=None):
+        for job, result in zip(jobs, super().map(encoding, jobs, on_progress), strict=True):
+            if job.end_s == 10.0:
+                result.outcomes.failure[:4] = Failure.VEERED
+                result.outcomes.distance_m[:4] = 1.0
+            yield result
+
+
+def test_failed_robot_does_not_go_on_even_if_the_others_are_behind():
+    outcomes = race(GENOMES, CONFIG, lambda o: -1.0 - o.energy_j, WithFailures(1))
+    assert (outcomes.simulated_s[:4] <= 10.0).all()
+    assert (outcomes.simulated_s[4:6] == 30.0).all()  # the last robot fails after 8.5 s
 
 
 def test_stopped_robot_is_never_the_best(raced):
