@@ -7,10 +7,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
 import yaml
 
-from caterpillar_env.errors import CaterpillarError, check_choice, from_mapping
+from caterpillar_env.errors import CaterpillarError, check_fields, from_mapping
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
@@ -51,16 +50,11 @@ class TrainConfig:
     physics: Physics = field(default_factory=Physics)
 
     def __post_init__(self) -> None:
-        for name, kind in (("algorithm", AlgorithmName), ("mode", Mode), ("design", Design)):
-            check_choice(name, getattr(self, name), kind)
-        if not 0 <= self.seed < 2**32:
-            raise CaterpillarError(f"seed = {self.seed} must be an integer from 0 to {2**32 - 1}")
-        if not EPISODE_S <= self.budget_s < np.inf:
+        check_fields(self, {"seed": (0, 2**32 - 1), "evaluations": (1, 2**63)})
+        if self.budget_s < EPISODE_S:
             raise CaterpillarError(
                 f"budget_s = {self.budget_s:g} must be at least {EPISODE_S:g}, the length of one episode"
             )
-        if self.evaluations < 1:
-            raise CaterpillarError(f"evaluations = {self.evaluations} must be at least 1")
         if self.open_loop and self.mode != "timing":
             raise CaterpillarError(f"open_loop requires mode timing; got mode {self.mode}")
         if self.design != "fixed" and (self.algorithm != "ppo" or self.open_loop):
@@ -84,7 +78,9 @@ class TrainConfig:
         Raises:
             CaterpillarError: a field is unknown or has an invalid value.
         """
-        values = dict(data)
+        values = dict(data) if isinstance(data, Mapping) else {}
+        if not isinstance(data, Mapping):
+            return from_mapping(cls, data, "a training run")
         for name, kind in (("physics", Physics), ("morphology", Morphology)):
             if name in values:
                 values[name] = kind.of(values[name])

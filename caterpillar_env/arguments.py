@@ -8,12 +8,22 @@ from typing import Any, Literal
 
 import numpy as np
 
-from caterpillar_env.errors import CaterpillarError, check_choice
+from caterpillar_env.errors import CaterpillarError, check_fields, check_number, show
+from caterpillar_env.gait import MAX_STEPS
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.randomization import Randomization
 
 ActionMode = Literal["timing", "phase", "switch"]
+
+_BOUNDS = {
+    "action_repeat": (1, MAX_STEPS),  # gait periods, or control intervals in switch mode
+    "max_episode_steps": (1, MAX_STEPS),
+    "forward_reward_weight": (0.0, 1e9),
+    "ctrl_cost_weight": (0.0, 1e9),
+    "failure_cost": (0.0, 1e9),
+    "reset_noise_scale": (0.0, 1000.0),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,23 +49,12 @@ class EpisodeConfig:
     terminate_on_failure: bool
 
     def __post_init__(self) -> None:
-        check_choice("action_mode", self.action_mode, ActionMode)
-        if not isinstance(self.action_repeat, int) or self.action_repeat < 1:
-            raise CaterpillarError(
-                "action_repeat must be a whole number of gait periods, or of control intervals in "
-                f"switch mode, 1 or more; got {self.action_repeat!r}"
-            )
+        check_fields(self, _BOUNDS)
         if self.action_mode == "switch" and not self.symmetric:
             raise CaterpillarError(
                 "symmetric = False needs action_mode 'timing' or 'phase'; in switch mode, an action "
                 "always has a value for each spring"
             )
-        for name in (
-            "forward_reward_weight", "ctrl_cost_weight", "failure_cost", "reset_noise_scale"
-        ):  # fmt: skip
-            value = getattr(self, name)
-            if not (isinstance(value, (int, float, np.number)) and 0 <= value < np.inf):
-                raise CaterpillarError(f"{name} must be finite and not negative; got {value!r}")
         if self.randomization is not None:
             self.randomization.check(self.physics)
 
@@ -79,8 +78,12 @@ def read_morphologies(value: Any, num_envs: int) -> list[Morphology]:
     Raises:
         CaterpillarError: a body is invalid, or the number of bodies is wrong.
     """
+    check_number("num_envs", num_envs, 1, whole=True)
     if not isinstance(value, (Morphology, Mapping, Sequence)):
-        value = np.atleast_1d(value)
+        try:
+            value = np.atleast_1d(value)
+        except ValueError:
+            value = [value]
     if isinstance(value, (Morphology, Mapping)) or (len(value) and np.isscalar(value[0])):
         return [Morphology.of(value)] * num_envs
     if len(value) != num_envs:
@@ -97,7 +100,8 @@ def check_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) -> 
     Raises:
         CaterpillarError: a key is not in `known`.
     """
-    chosen = dict(options or {})
-    if unknown := sorted(set(chosen) - set(known)):
-        raise CaterpillarError(f"reset options are {', '.join(known)}; got {unknown}")
-    return chosen
+    chosen = {} if options is None else options
+    if not isinstance(chosen, Mapping) or set(chosen) - set(known):
+        got = sorted(map(str, set(chosen) - set(known))) if isinstance(chosen, Mapping) else show(chosen)
+        raise CaterpillarError(f"reset options are {', '.join(known)}; got {got}")
+    return dict(chosen)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from caterpillar_env.arguments import ActionMode, EpisodeConfig, check_options
 from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.episodes import Episodes, EpisodeState, WithSpec, make_generator
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, show
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
@@ -97,7 +97,7 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         EzPickle.__init__(self, **arguments)
         if render_mode not in (None, "rgb_array"):
-            raise CaterpillarError(f'render_mode must be None or "rgb_array"; got {render_mode!r}')
+            raise CaterpillarError(f'render_mode must be None or "rgb_array"; got {show(render_mode)}')
         body = Morphology.of({} if morphology is None else morphology)
         self._episodes = Episodes([body], EpisodeConfig.of(arguments), threads=1)
         self.crawl = self._episodes.crawl

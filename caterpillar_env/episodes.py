@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from caterpillar_env.arguments import EpisodeConfig
 from caterpillar_env.arrays import Array, Rows
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, show, to_array
 from caterpillar_env.gait import MAX_DUTY, GaitTimings, count_steps
 from caterpillar_env.model import joint_names
 from caterpillar_env.morphology import NAMES, Body, Morphology
@@ -208,12 +208,9 @@ class Episodes:
             CaterpillarError: the shape is wrong, a value is not finite, or a switch value is not 0 or 1.
         """
         expected = (count, *self.action_space.shape)
-        try:
-            array = np.asarray(actions, dtype=np.float64)
-            got = f"shape {array.shape}"
-        except (TypeError, ValueError):
-            array, got = np.empty(0), repr(actions)
-        if array.shape != expected:
+        array = to_array(actions)
+        if array is None or array.shape != expected:
+            got = show(actions) if array is None else f"shape {array.shape}"
             raise CaterpillarError(
                 f"actions must be numbers of shape {expected[1:]} per robot, {expected} in all; "
                 f"got {got}"

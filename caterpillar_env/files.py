@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import stat
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,8 +16,11 @@ from caterpillar_env.errors import CaterpillarError
 T = TypeVar("T")
 
 
+_ELSEWHERE = "choose another place with --out"
+
+
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
+def writing(path: Path, advice: str = _ELSEWHERE) -> Iterator[None]:
     """Turn errors from writing to `path` into a `CaterpillarError` with advice.
 
     Raises:
@@ -27,11 +32,13 @@ def writing(path: Path) -> Iterator[None]:
         if isinstance(error, CaterpillarError):
             raise
         why = getattr(error, "strerror", None) or error
-        raise CaterpillarError(f"cannot write {path}: {why}; choose another place with --out") from None
+        raise CaterpillarError(f"cannot write {path}: {why}; {advice}") from None
 
 
 def make_folder(path: Path, otherwise: str) -> None:
-    """Create a folder. An existing empty folder is accepted.
+    """Create a folder. An existing folder is accepted if it has at most hidden files.
+
+    A process that is killed at the start leaves locks and partial files, which are hidden.
 
     Args:
         path: path of the folder.
@@ -42,7 +49,7 @@ def make_folder(path: Path, otherwise: str) -> None:
     """
     with writing(path):
         path.mkdir(parents=True, exist_ok=True)
-        if any(path.iterdir()):
+        if any(not file.name.startswith(".") for file in path.iterdir()):
             raise CaterpillarError(f"{path} is not empty; choose another with --out{otherwise}")
 
 
@@ -54,18 +61,47 @@ def unused(parent: Path, name: str) -> Path:
     return folder
 
 
-def write_json(path: Path, data: Any) -> None:
-    """Write a JSON file atomically."""
+def write_json(path: Path, data: Any, advice: str = _ELSEWHERE) -> None:
+    """Write a JSON file atomically.
+
+    Raises:
+        CaterpillarError: the file cannot be written, for example because the disk is full. An existing
+            file is unchanged.
+    """
     partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    try:
+        with writing(path, advice):
+            partial.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+            os.replace(partial, path)
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def parse_json(text: str) -> Any:
+    """Parse JSON.
+
+    Raises:
+        ValueError: the text is not JSON, or repeats a key of an object.
+        RecursionError: it is nested too deeply.
+    """
+    return json.loads(text, object_pairs_hook=_without_repetitions)
+
+
+def _without_repetitions(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise ValueError(f"it repeats the key {name!r}")
+        found[name] = value
+    return found
 
 
 def read(
     path: Path,
     make: Callable[[Any], T],
     missing: str,
-    parse: Callable[[str], Any] = json.loads,
+    parse: Callable[[str], Any] = parse_json,
 ) -> T:
     """Read, parse and convert a text file.
 
@@ -76,16 +112,18 @@ def read(
         parse: function that parses the text.
 
     Raises:
-        CaterpillarError: the file is missing or invalid.
+        CaterpillarError: the file is missing or invalid, or is a device, a pipe or a folder.
     """
     try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise OSError(errno.EINVAL, "it is not a regular file")
         data = parse(path.read_text(encoding="utf-8"))
     except OSError as problem:
         raise CaterpillarError(f"cannot read {path}: {problem.strerror}; {missing}") from None
-    except ValueError as problem:
+    except (ValueError, RecursionError) as problem:
         kind = path.suffix.removeprefix(".").upper() or "text"
         raise CaterpillarError(f"{path} is not {kind}: {problem}") from None
     try:
         return make(data)
-    except CaterpillarError as problem:
+    except (CaterpillarError, RecursionError) as problem:
         raise CaterpillarError(f"{path}: {problem}") from None

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, show, to_array, to_number
 
 #: Default gait period: a spring takes about 1 s to heat and 2.8 s to cool by 90 %. An episode of 30 s
 #: has six periods.
 GAIT_PERIOD_S = 5.0
 SPRINGS_PER_GAP = 4
 PAIRS_PER_GAP = 2
+MAX_STEPS = 1_000_000  #: largest number of steps in a duration, see `count_steps`
 MAX_DUTY = 0.95  #: largest duty, as a share of the period; a spring that is always on never moves
 
 
@@ -55,11 +56,17 @@ class GaitTimings:
     off_s: Array
 
     def __post_init__(self) -> None:
-        number = isinstance(self.period_s, (int, float, np.number))
-        if not number or not 0 < self.period_s < np.inf:
-            raise CaterpillarError(f"period_s = {self.period_s!r} must be a positive number of seconds")
+        if (to_number(self.period_s) or 0.0) <= 0:
+            raise CaterpillarError(
+                f"period_s = {show(self.period_s)} must be a positive number of seconds"
+            )
         for name in ("on_s", "off_s"):
-            times = np.array(getattr(self, name), dtype=np.float64)
+            given = to_array(getattr(self, name))
+            if given is None:
+                raise CaterpillarError(
+                    f"{name} must be an array of times; got {show(getattr(self, name))}"
+                )
+            times = given.copy()
             bad = ~((times >= 0) & (times <= self.period_s))
             if bad.any():
                 raise CaterpillarError(
@@ -179,11 +186,17 @@ def count_steps(duration_s: float, step_s: float, what: str) -> int:
     """Return the number of steps in a duration.
 
     Raises:
-        CaterpillarError: the duration, called `what`, is not a positive multiple of `step_s`.
+        CaterpillarError: the duration, called `what`, is not a positive multiple of `step_s`, or it has
+            more than `MAX_STEPS` of them.
     """
-    finite = isinstance(duration_s, (int, float, np.number)) and np.isfinite(duration_s)
-    count = round(duration_s / step_s) if finite else 0
-    shown = f"{duration_s:g}" if finite else repr(duration_s)
-    if count < 1 or abs(count * step_s - duration_s) > 1e-9 * max(1.0, duration_s):
-        raise CaterpillarError(f"{what} of {shown} s must be a whole multiple of {step_s:g} s")
+    duration, step = to_number(duration_s), to_number(step_s)
+    shown = f"{show(duration_s)} s" if duration is None else f"{duration:g} s"
+    steps = duration / step if duration is not None and step else 0.0
+    count = round(steps) if steps < 2 * MAX_STEPS else 0
+    if not 1 <= count <= MAX_STEPS:
+        raise CaterpillarError(
+            f"{what} of {shown} must be a whole multiple of {step_s} s, at most {MAX_STEPS:,} times it"
+        )
+    if abs(count * step_s - duration_s) > 1e-9 * max(1.0, duration_s):
+        raise CaterpillarError(f"{what} of {shown} must be a whole multiple of {step_s:g} s")
     return count

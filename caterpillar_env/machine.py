@@ -7,6 +7,8 @@ import os
 import platform
 from pathlib import Path
 
+MAX_THREADS = 1024  #: largest number of threads that a simulation accepts
+
 
 def processor() -> str:
     """Return the name of the processor, as reported by the system."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError, from_mapping
+from caterpillar_env.errors import CaterpillarError, from_mapping, show, to_array, to_number
 
 
 class Parameter(NamedTuple):
@@ -68,14 +68,13 @@ class Morphology:
     def __post_init__(self) -> None:
         for p in PARAMETERS:
             value = getattr(self, p.name)
-            is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-            number = float(value) if is_number else float("nan")
-            if not p.lower <= number <= p.upper:
+            number = to_number(value)
+            if number is None or not p.lower <= number <= p.upper:
                 raise CaterpillarError(
-                    f"{p.name} = {value!r} must be in [{p.lower:g}, {p.upper:g}] {p.unit} "
+                    f"{p.name} = {show(value)} must be in [{p.lower:g}, {p.upper:g}] {p.unit} "
                     f"({p.description}, {p.symbol} in the paper)"
                 )
-            object.__setattr__(self, p.name, number)
+            object.__setattr__(self, p.name, float(number))
 
     @classmethod
     def of(cls, value: Morphology | Mapping[str, Any] | Sequence[float] | NDArray[Any]) -> Morphology:
@@ -92,14 +91,11 @@ class Morphology:
             return value
         if isinstance(value, Mapping):
             return from_mapping(cls, value, "a morphology")
-        try:
-            array = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError):
-            array = np.empty(0)
-        if array.shape != (len(PARAMETERS),):
+        array = to_array(value)
+        if array is None or array.shape != (len(PARAMETERS),):
             raise CaterpillarError(
                 f"a morphology must be a mapping or {len(PARAMETERS)} numbers ({', '.join(NAMES)}); "
-                f"got {value!r}"
+                f"got {show(value)}"
             )
         return cls(*array.tolist())
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError, check_choice, from_mapping
+from caterpillar_env.errors import CaterpillarError, check_fields, from_mapping
 from caterpillar_env.gait import SPRINGS_PER_GAP, count_steps
 from caterpillar_env.sma import SmaSpring
 
@@ -25,9 +24,27 @@ Solver = Literal["newton", "cg"]
 Cone = Literal["elliptic", "pyramidal"]
 BendAxis = Literal["yaw", "pitch"]
 
-_CHOICES = {"integrator": Integrator, "solver": Solver, "cone": Cone, "bend_axis": BendAxis}
-_INTEGERS = {"num_segments": (2, 64), "mismatch_seed": (0, 2**63), "solver_iterations": (1, 10_000)}
-_POSITIVE = ("timestep_s", "impratio", "contact_time_constant_s", "stop_time_constant_s", "axial_range")
+#: Bounds of the parameters. Material constants can be a hundred times their plausible values.
+BOUNDS = {
+    "num_segments": (2, 64),
+    "neck_stiffness_n_m_rad": (0.0, 1.0),
+    "neck_stiffening": (0.0, 1000.0),
+    "neck_damping_n_m_s_rad": (0.0, 0.1),
+    "axial_stiffness_n_m": (0.0, 100_000.0),
+    "axial_damping_n_s_m": (0.0, 200.0),
+    "axial_range": (0.001, 1.0),
+    "bend_ratio": (0.0, 200.0),
+    "friction": (0.0, 100.0),
+    "mismatch_std": (0.0, 10.0),
+    "mismatch_seed": (0, 2**63),
+    "spring_strengths": (0.001, 1000.0),
+    "timestep_s": (1e-6, SMA_STEP_S),
+    "impratio": (0.01, 1e5),
+    "contact_time_constant_s": (1e-5, 1.0),
+    "stop_time_constant_s": (1e-5, 1.0),
+    "solver_tolerance": (0.0, 1.0),
+    "solver_iterations": (1, 10_000),
+}
 
 
 @dataclass(frozen=True)
@@ -68,20 +85,12 @@ class Physics:
         if not isinstance(self.spring, SmaSpring):
             spring = from_mapping(SmaSpring, self.spring, "spring")
             object.__setattr__(self, "spring", spring)
-        for name, (lower, upper) in _INTEGERS.items():
-            value = getattr(self, name)
-            if not isinstance(value, (int, np.integer)) or not lower <= int(value) <= upper:
-                raise CaterpillarError(f"{name} = {value!r} must be an integer from {lower} to {upper}")
-            object.__setattr__(self, name, int(value))
-        for name, choices in _CHOICES.items():
-            check_choice(name, getattr(self, name), choices)
-        for name in (f.name for f in fields(self) if isinstance(f.default, float)):
-            value, sign = getattr(self, name), "positive" if name in _POSITIVE else "non-negative"
-            is_number = isinstance(value, (int, float)) and 0 <= value < math.inf
-            if not is_number or (value == 0 and name in _POSITIVE):
-                raise CaterpillarError(f"{name} = {value!r} must be a finite, {sign} number")
-        if self.spring_strengths is not None:
-            object.__setattr__(self, "spring_strengths", self._check_strengths(self.spring_strengths))
+        check_fields(self, BOUNDS)
+        strengths = self.spring_strengths
+        if strengths is not None and len(strengths) != self.num_springs:
+            raise CaterpillarError(
+                f"spring_strengths must be {self.num_springs} numbers; got {len(strengths)}"
+            )
         try:
             count_steps(SMA_STEP_S, self.timestep_s, "the thermal step")
         except CaterpillarError:
@@ -89,19 +98,6 @@ class Physics:
                 f"timestep_s = {self.timestep_s:g} must divide the thermal step of {SMA_STEP_S:g} s; "
                 "choose for example 0.01, 0.005, 0.0025 or 0.001"
             ) from None
-
-    def _check_strengths(self, value: Any) -> tuple[float, ...]:
-        """Return valid spring strengths as a tuple."""
-        is_valid = (
-            isinstance(value, (tuple, list))
-            and len(value) == self.num_springs
-            and all(isinstance(s, (int, float)) and 0 < s < math.inf for s in value)
-        )
-        if not is_valid:
-            raise CaterpillarError(
-                f"spring_strengths = {value!r} must be {self.num_springs} positive numbers"
-            )
-        return tuple(map(float, value))
 
     @property
     def num_springs(self) -> int:
@@ -117,7 +113,7 @@ class Physics:
         """
         if isinstance(value, Physics):
             return value
-        return from_mapping(cls, value or {}, "physics")
+        return from_mapping(cls, {} if value is None else value, "physics")
 
     def to_dict(self) -> dict[str, Any]:
         """Return all fields by name, for JSON. `spring` is a nested mapping."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from caterpillar_env.errors import CaterpillarError, from_mapping
+from caterpillar_env.errors import CaterpillarError, from_mapping, show
 from caterpillar_env.ground import condim
 from caterpillar_env.model import trim_tendons
 from caterpillar_env.physics import Physics, mismatched
@@ -53,12 +53,13 @@ class Randomization:
                 continue
             try:
                 low, high = map(float, value)
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 low, high = math.nan, math.nan
-            if not _MINIMUM[f.name] <= low <= high < math.inf:
+            least, greatest = _BOUNDS[f.name]
+            if not least <= low <= high <= greatest:
                 raise CaterpillarError(
-                    f"randomization of {f.name} must be two numbers in increasing order, at least "
-                    f"{_MINIMUM[f.name]:g}; got {value!r}"
+                    f"randomization of {f.name} must be two numbers in increasing order, from {least:g} "
+                    f"to {greatest:g}; got {show(value)}"
                 )
             object.__setattr__(self, f.name, (low, high))
 
@@ -101,9 +102,10 @@ class Randomization:
         )
 
 
-#: Minimum of each range. Springs without force and bodies without mass cannot be simulated.
-_MINIMUM = {
-    "friction": 0.0, "mismatch_std": 0.0, "spring_force": 0.01, "mass": 0.01, "ambient_c": -273.15,
+#: Bounds of each range. Springs without force and bodies without mass cannot be simulated.
+_BOUNDS = {
+    "friction": (0.0, 100.0), "mismatch_std": (0.0, 10.0), "spring_force": (0.01, 100.0),
+    "mass": (0.01, 100.0), "ambient_c": (-273.15, 2000.0),
 }  # fmt: skip
 
 

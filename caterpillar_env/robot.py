@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, check_fields
 from caterpillar_env.files import read, write_json
 from caterpillar_env.gait import GaitTimings, count_steps, pair_names, spring_names
 from caterpillar_env.morphology import NAMES, Body, Morphology, segments_of
@@ -150,6 +150,9 @@ class Robot:
     generation: int | None = None  #: generation in its run
     evaluation: int | None = None  #: evaluation number in the journal of its run
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+
     def simulate(self, timestep_s: float | None = None, **kwargs: Any) -> Outcomes:
         """Simulate the robot, with a different timestep if given. For the keywords, see `simulate`."""
         physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
@@ -226,7 +229,7 @@ class Robot:
             return cls(body, timings, physics, **record)
         except CaterpillarError:
             raise
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise CaterpillarError(f"a field of the robot is missing or invalid: {error}") from None
 
     def save(self, path: str | Path) -> None:
@@ -242,7 +245,7 @@ class Robot:
         """
         path, advice = Path(path), "give a run folder or the JSON file of one robot"
         if os.path.isdir(path):
-            if not (path / "best.json").exists():
+            if not os.path.exists(path / "best.json"):
                 raise CaterpillarError(
                     f"{path} holds no best.json: it is not a run folder, or no robot of the run has "
                     f"crawled forwards without failing yet; {advice}"

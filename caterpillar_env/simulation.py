@@ -18,11 +18,11 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array, Rows, cross, select
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, check_number
 from caterpillar_env.gait import count_steps
 from caterpillar_env.ground import LOADS, STANCE_M, clearances_m, half_axes_m, touching_geoms
 from caterpillar_env.heating import Heating, heat
-from caterpillar_env.machine import cores
+from caterpillar_env.machine import MAX_THREADS, cores
 from caterpillar_env.model import ELEMENTS_PER_SEGMENT, ModelBuilder
 from caterpillar_env.morphology import Body
 from caterpillar_env.physics import SMA_STEP_S, Physics
@@ -57,11 +57,9 @@ class Simulation:
     """
 
     def __init__(self, bodies: Sequence[Body], physics: Physics, threads: int = 0) -> None:
-        if not len(bodies) or threads < 0:
-            raise CaterpillarError(
-                "a simulation needs at least one body and threads >= 0 (0: all usable cores); got "
-                f"{len(bodies)} bodies and {threads} threads"
-            )
+        check_number("threads", threads, 0, MAX_THREADS, whole=True)
+        if not len(bodies):
+            raise CaterpillarError("a simulation needs at least one body; got none")
         size, springs = len(bodies), physics.num_springs
         self.physics, self.simulated_s = physics, 0.0
         self._substeps = count_steps(SMA_STEP_S, physics.timestep_s, "the thermal step")

@@ -24,11 +24,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, check_fields
 
 #: Number of temperatures at which each branch is tabulated.
 _NODES = 1025
 _PERIODS = 11  #: periods after which temperatures repeat
+_TEMPERATURES = (-273.15, 2000.0)
+#: Bounds of the parameters: a hundredth and a hundred times a plausible value, or more. Beyond them, the
+#: simulation could overflow.
+BOUNDS = {
+    "wire_diameter_m": (1e-6, 0.02),
+    "coil_diameter_m": (4e-6, 0.05),
+    "turns": (1.0, 10_000.0),
+    "density_kg_m3": (50.0, 700_000.0),
+    "specific_heat_j_kg_k": (5.0, 50_000.0),
+    "latent_heat_j_kg": (0.0, 3e6),
+    "resistivity_ohm_m": (5e-9, 1e-4),
+    "convection_w_m2_k": (1e-9, 20_000.0),  # nearly 0 makes the spring adiabatic
+    "coil_shielding": (0.005, 10.0),
+    "austenite_start_c": _TEMPERATURES,
+    "austenite_finish_c": _TEMPERATURES,
+    "martensite_start_c": _TEMPERATURES,
+    "martensite_finish_c": _TEMPERATURES,
+    "ambient_c": _TEMPERATURES,
+    "austenite_stiffness_n_m": (0.1, 5000.0),
+    "martensite_stiffness_n_m": (0.1, 5000.0),
+    "austenite_rest_length_m": (1e-4, 3.0),
+    "martensite_rest_length_m": (1e-4, 3.0),
+    "force_limit_n": (0.005, 100.0),
+    "drive_current_a": (0.0, 50.0),
+    "cut_off_c": _TEMPERATURES,
+}
 
 
 @dataclass(frozen=True)
@@ -36,7 +62,7 @@ class SmaSpring:
     """Wire, coil and drive of one spring. For the sources of the values, see docs/sources.md.
 
     Raises:
-        CaterpillarError: a value is not a finite number or has the wrong sign, or the transformation
+        CaterpillarError: a value is not a finite number or is out of bounds, or the transformation
             temperatures form no hysteresis loop.
     """
 
@@ -63,16 +89,7 @@ class SmaSpring:
     cut_off_c: float = 120.0  #: over-temperature limit of the driver
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            value = getattr(self, name)
-            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if not is_number or not math.isfinite(value):
-                raise CaterpillarError(f"{name} = {value!r} must be a finite number")
-            if name in ("latent_heat_j_kg", "drive_current_a"):
-                if value < 0:
-                    raise CaterpillarError(f"{name} = {value:g} must not be negative")
-            elif value <= 0 and name != "ambient_c":
-                raise CaterpillarError(f"{name} = {value:g} must be positive")
+        check_fields(self, BOUNDS)
         is_loop = (
             self.ambient_c < self.martensite_finish_c < self.martensite_start_c
             and self.martensite_finish_c < self.austenite_start_c < self.austenite_finish_c

@@ -17,7 +17,7 @@ from caterpillar_env.arrays import Array, Rows
 from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.episodes import Episodes, EpisodeState, WithSpec, make_generator
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, check_number, show
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
@@ -87,11 +87,12 @@ class CaterpillarVectorEnv(
         config = EpisodeConfig.of(arguments)
         if render_mode not in (None, "rgb_array"):
             raise CaterpillarError(
-                f'render_mode of the vector environment must be None or "rgb_array"; got {render_mode!r}'
+                f'render_mode of the vector environment must be None or "rgb_array"; got '
+                f"{show(render_mode)}"
             )
         bodies = read_morphologies({} if morphology is None else morphology, num_envs)
         self.num_envs = num_envs
-        self._mode = AutoresetMode(autoreset_mode)
+        self._mode = _read_mode(autoreset_mode)
         self._episodes = Episodes(bodies, config, threads)
         self.crawl = self._episodes.crawl
         self.step_s, self.episode_s = self._episodes.step_s, episode_s
@@ -160,11 +161,15 @@ class CaterpillarVectorEnv(
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start episodes in all rows, or in those of `options["reset_mask"]`."""
         chosen = check_options(options, ("morphology", "reset_mask"))
-        mask = np.asarray(chosen.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        given_mask = chosen.get("reset_mask", np.ones(self.num_envs, dtype=bool))
+        try:
+            mask = np.asarray(given_mask)
+        except ValueError:  # ragged
+            mask = np.empty(0)
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             raise CaterpillarError(
                 f"reset_mask must be a bool array of shape ({self.num_envs},) with at least one True; "
-                f"got {mask}"
+                f"got {show(given_mask)}"
             )
         rows, bodies = np.flatnonzero(mask), None
         if "morphology" in chosen:
@@ -179,9 +184,12 @@ class CaterpillarVectorEnv(
         if seed is None or isinstance(seed, (int, np.integer)):
             seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
         else:
-            seeds = list(seed)
+            seeds = list(seed) if isinstance(seed, (Sequence, np.ndarray)) else []
         if len(seeds) != self.num_envs:
-            raise CaterpillarError(f"seed must be an integer or {self.num_envs} of them; got {seed!r}")
+            raise CaterpillarError(
+                f"seed must be an integer or {self.num_envs} of them; got {show(seed)}"
+            )
+        seeds = [None if s is None else check_number("seed", s, 0, whole=True) for s in seeds]
         if not self._generators:
             self._generators = [np_random(s)[0] for s in seeds]
         for row in np.flatnonzero(mask):
@@ -257,3 +265,12 @@ class CaterpillarVectorEnv(
     def close_extras(self, **kwargs: Any) -> None:
         """Free the drawing contexts."""
         self._pictures.close()
+
+
+def _read_mode(value: AutoresetMode | str) -> AutoresetMode:
+    """Return an autoreset mode from itself or from the name of its value."""
+    for mode in AutoresetMode:
+        if isinstance(value, (str, AutoresetMode)) and value in (mode, mode.value):
+            return mode
+    known = ", ".join(mode.value for mode in AutoresetMode)
+    raise CaterpillarError(f"autoreset_mode = {show(value)} must be one of {known}")

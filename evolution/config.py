@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, get_origin, get_type_hints
+from typing import Any, Literal
 
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError, check_choice, from_mapping
+from caterpillar_env.errors import CaterpillarError, check_fields, from_mapping
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import EPISODE_S
@@ -70,25 +70,16 @@ class RunConfig:
     physics: Physics = field(default_factory=Physics)
 
     def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise CaterpillarError(f"seed = {self.seed} must not be negative")
-        if self.generations < 1:
-            raise CaterpillarError(f"generations = {self.generations} must be at least 1")
+        check_fields(self, {"seed": (0, 2**63), "generations": (1, 2**63)})
         for name in ("budget_s", "target_m"):
             value = getattr(self, name)
-            number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if value is not None and not (number and 0 < value < np.inf):
+            if value is not None and value <= 0:
                 raise CaterpillarError(f"{name} = {value!r} must be a positive number, or left out")
-        for name, kind in get_type_hints(RunConfig).items():
-            if get_origin(kind) is Literal:
-                check_choice(name, getattr(self, name), kind)
         if self.optimizer != "ga" and self.prior_use != "both":
             raise CaterpillarError(
                 f"prior_use = {self.prior_use!r} needs the genetic algorithm; with {self.optimizer}, "
                 "leave it at 'both'"
             )
-        if not np.isfinite(self.failed_fitness):
-            raise CaterpillarError(f"failed_fitness = {self.failed_fitness} must be a finite number")
         check_floor_ratio(self.floor_ratio)
         if not 0 < self.race_share <= 1:
             raise CaterpillarError(f"race_share = {self.race_share} must lie in (0, 1]")
@@ -106,13 +97,15 @@ class RunConfig:
         Raises:
             CaterpillarError: a field is unknown or invalid.
         """
-        if data.get("prior") in _FORMER_PRIORS:
-            data = data | _FORMER_PRIORS[data["prior"]]
         kinds = {"ga": GaConfig, "cma": CmaConfig, "shade": ShadeConfig, "physics": Physics}
-        made = {
-            name: from_mapping(kinds[name], value, name) if name in kinds else value
-            for name, value in data.items()
-        }
+        made = data
+        if isinstance(data, dict):
+            prior = data.get("prior")
+            former = _FORMER_PRIORS.get(prior, {}) if isinstance(prior, str) else {}
+            made = {
+                name: from_mapping(kinds[name], value, name) if name in kinds else value
+                for name, value in {**data, **former}.items()
+            }
         return from_mapping(cls, made, "a run's configuration")
 
     def to_dict(self) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError, check_choice
+from caterpillar_env.errors import CaterpillarError, check_choice, show, to_array
 from caterpillar_env.gait import (
     GAIT_PERIOD_S,
     MAX_DUTY,
@@ -137,13 +137,11 @@ class Encoding:
         Raises:
             CaterpillarError: wrong shape, or a value that is not in [0, 1].
         """
-        array = np.asarray(genomes, dtype=np.float64)
-        array = array[None] if array.ndim == 1 else array
-        n = len(self.genes)
-        if array.ndim != 2 or array.shape[1] != n:
-            raise CaterpillarError(
-                f"genomes must have shape ({n},) or (P, {n}); got {np.shape(genomes)}"
-            )
+        array, n = to_array(genomes), len(self.genes)
+        array = array[None] if array is not None and array.ndim == 1 else array
+        if array is None or array.ndim != 2 or array.shape[1] != n:
+            got = show(genomes) if array is None else np.shape(genomes)
+            raise CaterpillarError(f"genomes must have shape ({n},) or (P, {n}); got {got}")
         bad = ~((array >= 0) & (array <= 1))
         if bad.any():
             row, column = np.argwhere(bad)[0]

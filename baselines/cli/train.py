@@ -9,12 +9,13 @@ from pathlib import Path
 from baselines.config import TrainConfig
 from baselines.policy import TrainedRobot
 from baselines.training import train
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, check_number
 from caterpillar_env.files import unused
+from caterpillar_env.machine import MAX_THREADS
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.robot import Robot
 from evolution import cli
-from evolution.cli.running import check_threads, film
+from evolution.cli.running import film
 from evolution.run.history import History
 
 
@@ -33,7 +34,7 @@ class TrainArgs:
     config: TrainConfig = field(default_factory=TrainConfig)
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
+        check_number("threads", self.threads, 0, MAX_THREADS, whole=True)
         if self.body is not None and self.config.morphology != Morphology():
             raise CaterpillarError(
                 "--body sets the whole body; do not combine it with single body parameters"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from caterpillar_env.arrays import Array
 from caterpillar_env.drawing.overlay import spring_rgb
 from caterpillar_env.drawing.scenery import CAMERAS, RULER
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, show
 from caterpillar_env.ground import clearances_m, half_axes_m, touching_geoms
 from caterpillar_env.model import build_model
 from caterpillar_env.morphology import Body, length_m, segments_of
@@ -62,10 +62,12 @@ class View:
         for name in ("width", "height"):
             value = getattr(self, name)
             if not isinstance(value, (int, np.integer)) or not 1 <= value <= 8192:
-                raise RenderingError(f"{name} must be an integer from 1 to 8192 (pixels); got {value!r}")
+                raise RenderingError(
+                    f"{name} must be an integer from 1 to 8192 (pixels); got {show(value)}"
+                )
         if self.camera_name not in CAMERAS:
             raise RenderingError(
-                f"camera_name must be one of {', '.join(CAMERAS)}; got {self.camera_name!r}"
+                f"camera_name must be one of {', '.join(CAMERAS)}; got {show(self.camera_name)}"
             )
 
 

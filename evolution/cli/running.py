@@ -9,18 +9,13 @@ from typing import Literal
 
 from rich.console import Console
 
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, check_number
+from caterpillar_env.machine import MAX_THREADS
 from caterpillar_env.robot import AnyRobot
 from evolution import cli
 from evolution.config import RunConfig
 from evolution.run.evaluators import Evaluator, LocalEvaluator, RayEvaluator
 from evolution.run.history import Generation, History
-
-
-def check_threads(threads: int) -> None:
-    """Raise a `CaterpillarError` if the number of threads is negative."""
-    if threads < 0:
-        raise CaterpillarError(f"threads = {threads} must not be negative; 0 uses all cores")
 
 
 def check_address(address: str | None, evaluator: str) -> None:
@@ -43,7 +38,7 @@ class WorkerArgs:
     """Write best.mp4, a video of the best robot."""
 
     def __post_init__(self) -> None:
-        check_threads(self.threads)
+        check_number("threads", self.threads, 0, MAX_THREADS, whole=True)
         check_address(self.ray_address, self.evaluator)
 
     def make_evaluator(self) -> Evaluator:

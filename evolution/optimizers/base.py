@@ -9,6 +9,8 @@ import numpy as np
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 
+MAX_POPULATION = 1_000_000  #: largest number of genomes in a generation
+
 
 class Optimizer(Protocol):
     """Interface of an optimizer that can drive a run.

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError
-from evolution.optimizers.base import GenerationalOptimizer
+from caterpillar_env.errors import check_fields
+from evolution.optimizers.base import MAX_POPULATION, GenerationalOptimizer
 from evolution.priors.distributions import Distribution, Gaussian, draw
 
 if TYPE_CHECKING:
@@ -30,12 +30,7 @@ class CmaConfig:
     cma_restarts: bool = True  #: whether to restart with twice the population after convergence
 
     def __post_init__(self) -> None:
-        if self.cma_population is not None and self.cma_population < 4:
-            raise CaterpillarError(
-                f"cma_population = {self.cma_population} must be at least 4, or left out"
-            )
-        if not 0 < self.cma_sigma <= 1:
-            raise CaterpillarError(f"cma_sigma = {self.cma_sigma} must lie in (0, 1]")
+        check_fields(self, {"cma_population": (4, MAX_POPULATION), "cma_sigma": (1e-9, 1.0)})
 
 
 class CmaEs(GenerationalOptimizer):

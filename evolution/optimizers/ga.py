@@ -10,11 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError, check_choice
-from evolution.optimizers.base import GenerationalOptimizer
+from caterpillar_env.errors import CaterpillarError, check_fields
+from evolution.optimizers.base import MAX_POPULATION, GenerationalOptimizer
 from evolution.priors.distributions import Distribution, draw
 
 Crossover = Literal["uniform", "one-point", "two-point"]
+
+_BOUNDS = {
+    "population": (2, MAX_POPULATION), "hall_of_fame": (0, MAX_POPULATION),
+    "crossover_rate": (0.0, 1.0), "mutation_rate": (0.0, 1.0),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -36,14 +41,7 @@ class GaConfig:
     elites_breed: bool = False  #: whether the hall of fame takes part in parent selection too
 
     def __post_init__(self) -> None:
-        if self.population < 2:
-            raise CaterpillarError(f"population = {self.population} must be at least 2")
-        if self.hall_of_fame < 0:
-            raise CaterpillarError(f"hall_of_fame = {self.hall_of_fame} must not be negative")
-        for name in ("crossover_rate", "mutation_rate"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise CaterpillarError(f"{name} = {getattr(self, name)} must lie in [0, 1]")
-        check_choice("crossover", self.crossover, Crossover)
+        check_fields(self, _BOUNDS)
 
     @property
     def elites(self) -> int:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError
-from evolution.optimizers.base import GenerationalOptimizer
+from caterpillar_env.errors import CaterpillarError, check_fields
+from evolution.optimizers.base import MAX_POPULATION, GenerationalOptimizer
 from evolution.priors.distributions import Distribution, draw
 
 DRAWS = 2  #: draws from the distributions for each genome of the first population; the best are kept
@@ -30,9 +30,9 @@ class ShadeConfig:
     shade_candidates: int = 1  #: candidates per genome; only the best by prediction is simulated
 
     def __post_init__(self) -> None:
-        for name, least in (("shade_population", 4), ("shade_candidates", 1)):
-            if getattr(self, name) < least:
-                raise CaterpillarError(f"{name} = {getattr(self, name)} must be at least {least}")
+        check_fields(
+            self, {"shade_population": (4, MAX_POPULATION), "shade_candidates": (1, MAX_POPULATION)}
+        )
 
 
 class Shade(GenerationalOptimizer):

@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, show, to_number
 from evolution.genome import Gene
 from evolution.priors.distributions import (
     ClippedGaussian,
@@ -115,8 +115,10 @@ def search_grid(k: DesignParameter, genes: tuple[Gene, ...]) -> Search:
 
 def check_floor_ratio(floor_ratio: float) -> None:
     """Raise a `CaterpillarError` unless the ratio is finite and greater than 1."""
-    if not 1 < floor_ratio < np.inf:
-        raise CaterpillarError(f"floor_ratio = {floor_ratio!r} must be a finite number greater than 1")
+    if (to_number(floor_ratio) or 0.0) <= 1:
+        raise CaterpillarError(
+            f"floor_ratio = {show(floor_ratio)} must be a finite number greater than 1"
+        )
 
 
 def search_all(parameters: Sequence[DesignParameter], genes: Sequence[Gene]) -> list[Search]:

@@ -13,7 +13,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol
 
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, show
 from caterpillar_env.robot import AnyRobot, Robot
 from evolution.config import RunConfig
 from evolution.run.evaluators import LocalEvaluator
@@ -65,7 +65,7 @@ def make_arm(name: str, data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm
         CaterpillarError: the kind is unknown, or a setting is invalid.
     """
     if not isinstance(data, Mapping):
-        raise CaterpillarError(f"arms.{name} must be a table; got {data!r}")
+        raise CaterpillarError(f"arms.{name} must be a table; got {show(data)}")
     if reserved := {*data, *base} & {"seed", "generations", "budget_s"}:
         names = ", ".join(sorted(reserved))
         raise CaterpillarError(f"arms.{name}: remove {names}, which the study sets for every run")
@@ -73,8 +73,8 @@ def make_arm(name: str, data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm
     kind = settings.pop("kind", "evolution")
     known = {e.name: e for e in entry_points(group="caterpillar.arms")}
     try:
-        if kind not in known:
-            raise CaterpillarError(f"kind = {kind!r} must be one of {', '.join(sorted(known))}")
+        if not isinstance(kind, str) or kind not in known:
+            raise CaterpillarError(f"kind = {show(kind)} must be one of {', '.join(sorted(known))}")
         arm: Arm = known[kind].load().from_dict(settings, base)
         return arm
     except ImportError as error:

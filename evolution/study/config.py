@@ -13,9 +13,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, check_fields, show
 from caterpillar_env.files import read, write_json, writing
 from caterpillar_env.task import EPISODE_S
 from evolution.config import RunConfig
@@ -59,13 +57,14 @@ class StudyConfig:
     sources: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def __post_init__(self) -> None:
+        check_fields(self, dict.fromkeys(("seeds", "pilot_seeds", "generation"), (0, 2**63)))
         if not self.arms:
             raise CaterpillarError("a study needs arms: add a table [arms.NAME] for each of them")
         for arm in self.arms:
-            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", arm):
+            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", arm):
                 raise CaterpillarError(
-                    "the name of an arm is used for a folder: use letters, digits, '.', '_' and '-'; "
-                    f"got {arm!r}"
+                    "the name of an arm is used for a folder: use up to 100 letters, digits, '.', '_' "
+                    f"and '-'; got {arm!r}"
                 )
         if self.reference not in self.arms:
             raise CaterpillarError(
@@ -73,9 +72,8 @@ class StudyConfig:
             )
         for name in ("seeds", "pilot_seeds"):
             seeds = getattr(self, name)
-            valid = isinstance(seeds, tuple) and all(isinstance(s, int) and s >= 0 for s in seeds)
             needed = name == "seeds" or not self.thresholds_m
-            if not valid or (needed and not seeds) or len(set(seeds)) < len(seeds):
+            if (needed and not seeds) or len(set(seeds)) < len(seeds):
                 raise CaterpillarError(
                     f"{name} must be a list of different integers from 0; got {seeds!r}"
                 )
@@ -84,17 +82,14 @@ class StudyConfig:
                 f"seeds {sorted(both)} are pilot seeds too: thresholds must come from runs that are not "
                 "analysed; choose other pilot_seeds"
             )
-        if not isinstance(self.budget_s, (int, float)) or not EPISODE_S <= self.budget_s < np.inf:
+        if self.budget_s < EPISODE_S:
             raise CaterpillarError(
                 f"budget_s = {self.budget_s!r} must be at least {EPISODE_S:g}, the simulated seconds of "
                 "one evaluation"
             )
-        if not isinstance(self.generation, int) or self.generation < 0:
-            raise CaterpillarError(f"generation = {self.generation!r} must be an integer from 0")
         for name in ("threshold_shares", "thresholds_m"):
             values, needed = getattr(self, name), name == "threshold_shares"
-            valid = isinstance(values, tuple) and all(0 < value < np.inf for value in values)
-            if not valid or (needed and not values):
+            if min(values, default=1.0) <= 0 or (needed and not values):
                 raise CaterpillarError(f"{name} must be a list of positive numbers; got {values!r}")
         if self.thresholds_m and self.pilot_seeds:
             raise CaterpillarError(
@@ -108,11 +103,13 @@ class StudyConfig:
         Raises:
             CaterpillarError: a field is missing, unknown or invalid.
         """
-        settings: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
+        if not isinstance(data, Mapping):
+            raise CaterpillarError(f"a study must be a table; got {show(data)}")
+        settings = dict(data)
         sources = {name: settings.pop(name, {}) for name in ("base", "arms")}
         for name, table in sources.items():
             if not isinstance(table, Mapping):
-                raise CaterpillarError(f"{name} must be a table; got {table!r}")
+                raise CaterpillarError(f"{name} must be a table; got {show(table)}")
         known = [f.name for f in fields(cls) if f.name not in ("arms", "sources")]
         if unknown := set(settings) - set(known):
             raise CaterpillarError(

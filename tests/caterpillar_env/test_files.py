@@ -1,4 +1,6 @@
+import errno
 import json
+import os
 
 import pytest
 
@@ -43,3 +45,34 @@ def test_write_errors_give_advice_and_own_errors_pass_through(tmp_path):
         path.write_text("")
     with pytest.raises(CaterpillarError), writing(tmp_path):
         raise CaterpillarError("mine")
+
+
+def test_a_folder_with_leftovers_of_a_killed_process_counts_as_empty(tmp_path):
+    (tmp_path / ".journal.sqlite.partial").touch()
+    (tmp_path / ".lock").touch()
+    make_folder(tmp_path, "")
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
+def test_only_regular_files_are_read(tmp_path, kind):
+    path = tmp_path / "x.json"
+    if kind == "pipe":
+        os.mkfifo(path)  # reading it would wait for a writer
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        path.symlink_to("/dev/zero")
+    with pytest.raises(CaterpillarError, match=r"cannot read .*x\.json: it is not a regular file; go"):
+        read(path, dict, "go")
+
+
+def test_failed_write_keeps_the_file_and_removes_the_partial_one(tmp_path, monkeypatch):
+    write_json(tmp_path / "x.json", 1)
+
+    def fill_disk(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.replace", fill_disk)
+    with pytest.raises(CaterpillarError, match=r"cannot write .*x\.json: No space left on device; free"):
+        write_json(tmp_path / "x.json", 2, "free some")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"x.json": "1\n"}

@@ -5,6 +5,7 @@ import pytest
 
 from caterpillar_env import Physics, SmaSpring
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.physics import BOUNDS
 
 
 def test_strengths_spread_about_one_and_follow_the_seed():
@@ -24,7 +25,7 @@ def test_given_strengths_replace_random_strengths():
     assert physics.strengths().tolist() == measured
     assert Physics.of(json.loads(json.dumps(physics.to_dict()))) == physics
     for unusable in ([1.0] * 3, [1.0, 1.0, 1.0, 0.0], [1.0, 1.0, 1.0, math.nan]):
-        with pytest.raises(CaterpillarError, match=r"spring_strengths = .* must be 4 positive numbers"):
+        with pytest.raises(CaterpillarError, match=r"spring_strengths .*must be"):
             Physics(num_segments=2, spring_strengths=unusable)
 
 
@@ -50,10 +51,10 @@ def test_partial_mappings_keep_the_other_defaults():
         ({"num_segments": 1}, "num_segments = 1 must be an integer from 2 to 64"),
         ({"num_segments": 65}, "num_segments = 65 must"),
         ({"num_segments": 4.0}, "num_segments = 4.0 must"),
-        ({"friction": -0.1}, "friction = -0.1 must be a finite, non-negative number"),
+        ({"friction": -0.1}, "friction = -0.1 must be a finite number from 0 to 100"),
         ({"friction": math.nan}, "friction = nan must"),
         ({"friction": None}, "friction = None must"),
-        ({"timestep_s": 0.0}, "timestep_s = 0.0 must be a finite, positive number"),
+        ({"timestep_s": 0.0}, "timestep_s = 0.0 must be a finite number from 1e-06 to 0.01"),
         ({"timestep_s": 0.003}, "timestep_s = 0.003 must divide the thermal step"),
         ({"solver": "pgs"}, "solver = 'pgs' must be one of newton, cg"),
         ({"integrator": "euler"}, "integrator = 'euler' must be one of discrete, implicitfast"),
@@ -65,3 +66,10 @@ def test_partial_mappings_keep_the_other_defaults():
 def test_invalid_physics_is_rejected_with_the_reason(value, message):
     with pytest.raises(CaterpillarError, match=message):
         Physics.of(value)
+
+
+def test_material_constants_may_be_a_hundred_times_the_default():
+    for name in ("neck_", "axial_stiffness", "axial_damping", "bend_ratio", "friction"):
+        for field, (lower, upper) in BOUNDS.items():
+            if field.startswith(name):
+                assert lower == 0 < 100 * getattr(Physics(), field) <= upper, field

@@ -61,9 +61,10 @@ def test_failed_save_keeps_the_existing_file(individual, tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "no space left")
 
     monkeypatch.setattr(Path, "write_text", stop_midway)
-    with pytest.raises(OSError, match="no space left"):
+    with pytest.raises(CaterpillarError, match=r"best\.json: no space left; choose another place"):
         replace(individual, fitness_m=1.0).save(tmp_path / "best.json")
     assert Robot.load(tmp_path).fitness_m == 0.0123
+    assert [file.name for file in tmp_path.iterdir()] == ["best.json"]
 
 
 def test_run_folder_loads_its_best_robot(individual, tmp_path):

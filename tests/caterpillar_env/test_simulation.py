@@ -311,9 +311,12 @@ def test_every_row_needs_a_body():
         started([SMALL, SMALL]).reset([SMALL])
 
 
-@pytest.mark.parametrize(("rows", "threads"), [(0, 1), (1, -1)])
-def test_invalid_sizes_are_rejected(rows, threads):
-    with pytest.raises(CaterpillarError, match=f"got {rows} bodies and {threads} threads"):
+@pytest.mark.parametrize(
+    ("rows", "threads", "message"),
+    [(0, 1, "needs at least one body"), (1, -1, "threads = -1"), (1, np.inf, "threads = inf")],
+)
+def test_invalid_sizes_are_rejected(rows, threads, message):
+    with pytest.raises(CaterpillarError, match=message):
         Simulation([SMALL] * rows, Physics(), threads)
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from caterpillar_env import SmaSpring
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.sma import SmaState, advance, cooling_branch, heating_branch, spring_force
+from caterpillar_env.sma import BOUNDS, SmaState, advance, cooling_branch, heating_branch, spring_force
 
 NITI = SmaSpring()
 STEP_S = 0.01
@@ -315,14 +316,42 @@ def test_every_quantity_must_be_a_finite_number(field):
             SmaSpring(**{field: value})
 
 
-@pytest.mark.parametrize("field", ["wire_diameter_m", "convection_w_m2_k", "force_limit_n"])
-def test_sizes_must_be_positive(field):
-    with pytest.raises(CaterpillarError, match=f"{field} = 0 must be positive"):
-        SmaSpring(**{field: 0.0})
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("wire_diameter_m", 0.0, "from 1e-06 to 0.02"),
+        ("convection_w_m2_k", 0.0, "from 1e-09 to 20000"),
+        ("force_limit_n", 0.0, "from 0.005 to 100"),
+        ("drive_current_a", -1.0, "from 0 to 50"),
+        ("drive_current_a", 1e300, "from 0 to 50"),
+        ("density_kg_m3", 5e-324, "from 50 to 700000"),
+        ("resistivity_ohm_m", 1e308, "from 5e-09 to 0.0001"),
+    ],
+)
+def test_values_out_of_bounds_are_rejected(field, value, message):
+    expected = f"{field} = {value} must be a finite number {message}"
+    with pytest.raises(CaterpillarError, match=re.escape(expected)):
+        SmaSpring(**{field: value})
 
 
-@pytest.mark.parametrize("field", ["latent_heat_j_kg", "drive_current_a"])
-def test_latent_heat_and_current_may_be_zero_but_not_negative(field):
-    SmaSpring(**{field: 0.0})
-    with pytest.raises(CaterpillarError, match="must not be negative"):
-        SmaSpring(**{field: -1.0})
+def test_every_value_may_be_a_hundredth_or_a_hundred_times_the_default():
+    outside = {"ambient_c", "cut_off_c", "coil_shielding"}
+    for name, (lower, upper) in BOUNDS.items():
+        value = getattr(SmaSpring(), name)
+        if not name.endswith(("start_c", "finish_c")) and name not in outside:
+            assert lower <= value / 100 < 100 * value <= upper, name
+
+
+def test_latent_heat_and_current_may_be_zero():
+    SmaSpring(latent_heat_j_kg=0.0, drive_current_a=0.0)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_heat_and_temperature_stay_finite_anywhere_within_the_bounds(seed):
+    rng = np.random.default_rng(seed)
+    values = {n: rng.choice(b) for n, b in BOUNDS.items() if b[1] != 2000.0}
+    spring = SmaSpring(**values)
+    step = advance(spring, SmaState.cold(spring, (2,)), np.ones((50, 2)), 0.01)
+    assert np.isfinite(step.state.temperature_c(spring)).all()
+    assert np.isfinite(step.power).all()
+    assert np.isfinite(spring.drive_power_w)

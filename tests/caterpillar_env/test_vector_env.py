@@ -372,9 +372,9 @@ def test_invalid_body_in_a_list_is_an_error():
 def test_invalid_modes_are_rejected():
     with pytest.raises(CaterpillarError, match=r'render_mode .* must be None or "rgb_array"'):
         CaterpillarVectorEnv(2, render_mode="human")
-    with pytest.raises(ValueError, match="sometimes"):
+    with pytest.raises(CaterpillarError, match="autoreset_mode = 'sometimes' must be"):
         CaterpillarVectorEnv(2, autoreset_mode="sometimes")
-    with pytest.raises(CaterpillarError, match="at least one body"):
+    with pytest.raises(CaterpillarError, match="num_envs = 0 must be an integer from 1"):
         CaterpillarVectorEnv(0)
 
 

@@ -476,7 +476,7 @@ def test_defaults_are_the_papers():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"population": 1, "hall_of_fame": 0}, "population = 1 must be at least 2"),
+        ({"population": 1, "hall_of_fame": 0}, "population = 1 must be an integer from 2"),
         ({"population": -200}, "population = -200"),
         ({"hall_of_fame": -1}, "hall_of_fame = -1"),
         ({"crossover_rate": 1.1}, "crossover_rate = 1.1"),

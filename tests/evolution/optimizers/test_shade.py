@@ -163,8 +163,8 @@ def test_search_with_equal_predictions_still_adapts():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"shade_population": 3}, "shade_population = 3 must be at least 4"),
-        ({"shade_candidates": 0}, "shade_candidates = 0 must be at least 1"),
+        ({"shade_population": 3}, "shade_population = 3 must be an integer from 4"),
+        ({"shade_candidates": 0}, "shade_candidates = 0 must be an integer from 1"),
     ],
 )
 def test_values_out_of_range_are_refused(settings, message):

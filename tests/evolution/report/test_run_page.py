@@ -29,7 +29,7 @@ CONFIG = RunConfig(
 )  # fmt: skip
 SHORT = replace(CONFIG, generations=1)
 BREAKS = replace(
-    CONFIG.physics, integrator="implicitfast", axial_stiffness_n_m=1e9, axial_damping_n_s_m=0.0
+    CONFIG.physics, integrator="implicitfast", axial_stiffness_n_m=1e5, axial_damping_n_s_m=0.0
 )
 COLOURS = """() => {
     const style = (selector) => getComputedStyle(document.querySelector(selector));

@@ -28,7 +28,7 @@ SHORT = Physics(num_segments=2, timestep_s=0.01)
 #: So stiff, and so coarsely stepped, that every robot's integration breaks down at once.
 BROKEN = Physics(
     num_segments=2, integrator="implicitfast", timestep_s=0.01,
-    axial_stiffness_n_m=1e9, axial_damping_n_s_m=0.0,
+    axial_stiffness_n_m=1e5, axial_damping_n_s_m=0.0,
 )  # fmt: skip
 CONFIG = RunConfig(
     seed=3, generations=3, physics=SHORT, ga=GaConfig(population=4, hall_of_fame=2, mutation_rate=0.2)
@@ -401,10 +401,14 @@ def test_configuration_survives_json():
         ({"generations": 0}, "generations = 0"),
         *(
             ({"target_m": value}, f"target_m = {value!r} must be a positive number")
-            for value in (-0.1, 0, np.nan, np.inf, "far", True)
+            for value in (-0.1, 0)
+        ),
+        *(
+            ({"target_m": value}, f"target_m = {value!r} must be a finite number")
+            for value in (np.nan, np.inf, "far", True)
         ),
         ({"budget_s": 0.0}, "budget_s = 0.0 must be a positive number"),
-        ({"budget_s": "long"}, "budget_s = 'long' must be a positive number"),
+        ({"budget_s": "long"}, "budget_s = 'long' must be a finite number"),
         ({"generations": -5}, "generations = -5"),
         ({"prior": "hopeful"}, "prior = 'hopeful'"),
         ({"floor_ratio": 1.0}, "floor_ratio = 1.0"),
