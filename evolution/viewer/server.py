@@ -1,14 +1,24 @@
-"""Web server of the viewer on 127.0.0.1. Every browser tab has its own robot."""
+"""Web server of the viewer on 127.0.0.1. Every browser tab has its own robot.
+
+Pages of other sites cannot use it through the browser: requests must name this machine as their host,
+and come from a page of this server.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import http
 import io
+import re
 import warnings
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import viser
+import websockets.asyncio.server
 
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import length_m, segments_of
 from caterpillar_env.robot import Robot
 from evolution.genome import Timing
@@ -16,11 +26,16 @@ from evolution.viewer.page import Page
 from evolution.viewer.session import Session
 
 HOST = "127.0.0.1"
+_OWN_HOSTS = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d+)?", re.IGNORECASE)
 _FIELD_OF_VIEW_RAD = 0.7  # vertical
 _CAMERA = np.array([0.5, -2.2, 1.1])  # position relative to the robot, in robot lengths
 
 
 class _LocalServer(viser.ViserServer):
+    def __init__(self, port: int) -> None:
+        with _checking_requests(), contextlib.redirect_stdout(io.StringIO()):  # viser prints its address
+            super().__init__(HOST, port, label="Caterpillar", verbose=False)
+
     def request_share_url(self, verbose: bool = True) -> str | None:
         """Return None, so that no page can open viser's tunnel to a public host."""
         return None
@@ -44,8 +59,7 @@ class Viewer:
         # viser warns if a tab is closed before it has received all messages.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         Session(robot)  # raises if the robot cannot be simulated
-        with contextlib.redirect_stdout(io.StringIO()):  # viser prints its address
-            self._server = _LocalServer(HOST, port, label="Caterpillar", verbose=False)
+        self._server = _LocalServer(port)
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
         camera = self._server.initial_camera
         camera.position = _CAMERA * length_m(segments_of(robot.morphology, robot.physics.num_segments))
@@ -76,3 +90,41 @@ class Viewer:
         page = self._pages.pop(client.client_id, None)
         if page is not None:
             page.close()
+
+
+def is_own(headers: Any) -> bool:
+    """Return whether a request names this machine as its host, and comes from a page of this server.
+
+    A page of another site can reach a server of this machine in two ways: with its own name as the host,
+    if its name server gives the address of this machine, or with a websocket, whose origin is that page.
+
+    Args:
+        headers: `websockets.Headers` of the request.
+    """
+    hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+    own = len(hosts) == 1 and _OWN_HOSTS.fullmatch(hosts[0]) is not None
+    return own and all(origin in (f"http://{hosts[0]}", f"https://{hosts[0]}") for origin in origins)
+
+
+@contextlib.contextmanager
+def _checking_requests() -> Iterator[None]:
+    """Add `is_own` to the server that viser starts. viser has no setting for it."""
+    module, started = websockets.asyncio.server, []
+    serve: Any = module.serve
+
+    def checked(*arguments: Any, process_request: Any, **settings: Any) -> Any:
+        def check(connection: Any, request: Any) -> Any:
+            if not is_own(request.headers):
+                return connection.respond(http.HTTPStatus.FORBIDDEN, "This host or origin is refused.\n")
+            return process_request(connection, request)
+
+        started.append(True)
+        return serve(*arguments, process_request=check, **settings)
+
+    module.serve = checked  # type: ignore[misc,assignment]
+    try:
+        yield
+    finally:
+        module.serve = serve  # type: ignore[misc]
+    if not started:
+        raise CaterpillarError("this version of viser starts its server in another way; use viser 1.1")
