@@ -27,6 +27,9 @@ class ReportArgs:
     """Folder of the run or study."""
     video: bool = True
     """For a run: write best.mp4, unless it already shows the best robot."""
+    landscape: tuple[str, str] | None = None
+    """For a run: vary two genes of the best robot, and plot the distances in landscape.png. This takes
+    about as long as 625 evaluations."""
     all_winners: bool = False
     """For a study: simulate the best robot of every evolution run again at a timestep of 0.25 ms, with
     the default integrator and with Runge-Kutta. This takes half a minute per robot on one core."""
@@ -36,17 +39,36 @@ def report_command(argv: Sequence[str]) -> int:
     """Write the figures and the page of a run or a study."""
     args = cli.parse(ReportArgs, argv, "report")
     if (args.folder / SETTINGS).is_file():
+        if args.landscape is not None:
+            raise CaterpillarError(f"--landscape needs the folder of a run; {args.folder} is a study")
         write_report(args.folder, all_winners=args.all_winners)
     elif args.all_winners:
         raise CaterpillarError(f"--all-winners needs the folder of a study; {args.folder} is not one")
     elif (args.folder / JOURNAL).is_file():
-        write_results(History.read(args.folder), cli.console(), video=args.video)
+        history = History.read(args.folder)
+        if args.landscape is not None:
+            write_landscape(history, args.landscape)
+        write_results(history, cli.console(), video=args.video)
     else:
         raise CaterpillarError(
             f"{args.folder} contains neither a run ({JOURNAL}) nor a study ({SETTINGS}); give a "
             "folder that caterpillar evolve or caterpillar study made"
         )
     return 0
+
+
+def write_landscape(history: History, names: tuple[str, str]) -> None:
+    """Sweep two genes around the best robot of a run, and write the figure into its folder."""
+    from evolution.report import figures, landscape
+
+    with cli.bar(cli.console()) as bar:
+        task = bar.add_task("landscape", total=1.0)
+        found = landscape.sweep(
+            history, names, on_progress=lambda share: bar.update(task, completed=share)
+        )
+    path = history.folder / "landscape.png"
+    figures.save(landscape.draw(found), path)
+    print(f"landscape: {path}")
 
 
 def write_report(folder: Path, *, all_winners: bool = False) -> None:

@@ -393,3 +393,8 @@ def test_only_studies_have_winners_to_compare(finished, capsys):
     run = next((finished / "cells").glob("*/seed-*"))
     assert cli.main(["report", str(run), "--all-winners"]) == 1
     assert "--all-winners needs the folder of a study" in " ".join(capsys.readouterr().err.split())
+
+
+def test_landscape_of_a_study_is_refused(finished, capsys):
+    assert cli.main(["report", str(finished), "--landscape", "lag", "offset"]) == 1
+    assert "--landscape needs the folder of a run" in " ".join(capsys.readouterr().err.split())
