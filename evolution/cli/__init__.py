@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import io
+import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import entry_points, version
 from typing import TYPE_CHECKING, TypeVar
 
@@ -57,17 +59,35 @@ def dispatch(commands: Commands, arguments: Sequence[str], prog: str = "caterpil
         print(f"{prog}: error: {problem}; choose from {choices} (see {prog} --help)", file=sys.stderr)
         return 2
     try:
-        return commands[name]()(rest)
-    except CaterpillarError as error:
-        print(f"{prog} {name}: error: {error}", file=sys.stderr)
+        with _stopping_on_signals():
+            return commands[name]()(rest)
+    except BrokenPipeError:
+        return 1
+    except (CaterpillarError, OSError) as error:
+        with contextlib.suppress(OSError):  # the terminal was closed
+            print(f"{prog} {name}: error: {CaterpillarError(str(error))}", file=sys.stderr)
         return 1
     except SystemExit as stop:  # from the parser: 0 after --help, 2 after wrong usage
         return int(stop.code or 0)
-    except BrokenPipeError:
-        return 1
     except KeyboardInterrupt:
-        print(f"{prog} {name}: stopped", file=sys.stderr)
+        with contextlib.suppress(OSError):
+            print(f"{prog} {name}: stopped", file=sys.stderr)
         return 130
+
+
+@contextlib.contextmanager
+def _stopping_on_signals() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP stop a command as Ctrl-C does, unless they are ignored (nohup)."""
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is signal.SIG_DFL:
+                before[number] = signal.signal(number, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def parse(kind: type[T], argv: Sequence[str], command: str, default: T | None = None) -> T:

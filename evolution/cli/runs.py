@@ -14,7 +14,7 @@ from rich.table import Table
 
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli
-from evolution.run.database import JournalError, is_in_use
+from evolution.run.database import is_in_use
 from evolution.run.history import History
 from evolution.run.journal import FILE
 
@@ -42,7 +42,7 @@ def runs_command(argv: Sequence[str]) -> int:
     else:
         table = Table(*rows[0])
         for row in rows:
-            table.add_row(*("" if value is None else str(value) for value in row.values()))
+            table.add_row(*(_to_text(value) for value in row.values()))
         cli.print_table(table)
     return 0
 
@@ -52,21 +52,34 @@ def _describe(folder: Path) -> dict[str, Any]:
     row: dict[str, Any] = dict.fromkeys(names) | {"run": str(folder)}
     try:
         history = History.read(folder)
-    except JournalError as error:
-        return row | {"state": str(error)}
+        row |= _summarize(history)
+    except CaterpillarError as error:
+        row["state"] = str(error)
+    return row
+
+
+def _summarize(history: History) -> dict[str, Any]:
+    row: dict[str, Any] = {}
     if history.kind == "training":
         training = history.configuration
-        row["optimizer"] = f"{training['algorithm']} {training['mode']}"
-        row["prior"], row["seed"] = training["design"], training["seed"]
-        total = training["evaluations"]
+        row["optimizer"] = f"{training.get('algorithm')} {training.get('mode')}"
+        row["prior"], row["seed"] = training.get("design"), training.get("seed")
+        total = training.get("evaluations")
     else:
         config = history.config
         row["optimizer"] = history.own_optimizer or config.optimizer
         row["prior"], row["seed"] = config.prior, config.seed
         total = config.generations if config.budget_s is None else None
     done = len(history.generations)
-    row["state"] = "running" if is_in_use(folder) else "finished" if history.finished else "stopped"
+    ended = "finished" if history.finished else "stopped"
+    row["state"] = "running" if is_in_use(history.folder) else ended
     row["generation"] = str(done) if total is None else f"{done} of {total}"
     row["evaluations"] = len(history.evaluations)
     row["best, mm"] = history.best and round(1000 * history.best.distance_m, 1)
     return row
+
+
+def _to_text(value: Any) -> str:
+    """Return a cell of the table. Characters that could control the terminal are replaced."""
+    text = "" if value is None else str(value)
+    return "".join(c if c.isprintable() else "?" for c in text)

@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import os
+import shutil
 import sqlite3
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import IO, Any
 
 from caterpillar_env.errors import CaterpillarError
 
 _LOCK_ATTEMPTS, _LOCK_WAIT_S = 10, 0.05
+_BUSY_S = 60.0  # how long to wait for another connection to finish reading
+#: Errors of SQLite that do not mean that the file is damaged.
+_HEALTHY = {
+    sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM,
+    sqlite3.SQLITE_READONLY, sqlite3.SQLITE_INTERRUPT, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PROTOCOL, sqlite3.SQLITE_NOLFS, sqlite3.SQLITE_AUTH,
+}  # fmt: skip
 
 
 class JournalError(CaterpillarError):
@@ -23,19 +33,17 @@ class JournalError(CaterpillarError):
 def is_in_use(folder: Path) -> bool:
     """Return whether a process has the journal of a folder open for writing."""
     try:
-        with (folder / ".lock").open("r", encoding="utf-8") as file:
+        with _open_lock(folder, os.O_RDONLY) as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except FileNotFoundError:
-        return False
-    except OSError:
-        return True
+    except OSError as error:
+        return isinstance(error, BlockingIOError)
     return False
 
 
-def lock(folder: Path) -> IO[str]:
+def lock(folder: Path) -> IO[bytes]:
     """Lock a folder until the file is closed or the process ends."""
     with explain_errors(folder / ".lock"):
-        file = (folder / ".lock").open("w", encoding="utf-8")
+        file = _open_lock(folder, os.O_RDWR | os.O_CREAT)
     for _ in range(_LOCK_ATTEMPTS):  # `is_in_use` holds the lock briefly
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -44,6 +52,50 @@ def lock(folder: Path) -> IO[str]:
             time.sleep(_LOCK_WAIT_S)
     file.close()
     raise JournalError(f"another process is working on {folder}; wait until it ends, or stop it")
+
+
+def _open_lock(folder: Path, flags: int) -> IO[bytes]:
+    """Open the lock of a folder. This never waits, whatever kind of file it is."""
+    descriptor = os.open(folder / ".lock", flags | os.O_NONBLOCK, 0o666)
+    return open(descriptor, "rb", buffering=0)
+
+
+def _check_kind(path: Path) -> None:
+    """Refuse pipes and devices, which can wait forever, in place of a file and its rollback journal."""
+    for file in (path, path.with_name(f"{path.name}-journal")):
+        if file.exists() and not file.is_file():
+            raise JournalError(f"{file} is not a regular file; remove it, or restore a copy of the run")
+
+
+def connect_to_write(path: Path, stack: ExitStack) -> sqlite3.Connection:
+    """Open a file for writing until `stack` is closed."""
+    _check_kind(path)
+    db = stack.enter_context(closing(sqlite3.connect(path, timeout=_BUSY_S)))
+    db.execute("PRAGMA journal_mode = DELETE")  # works on network file systems
+    db.execute("PRAGMA synchronous = FULL")  # rows survive a crash of the machine
+    return db
+
+
+def connect_to_read(path: Path, stack: ExitStack) -> sqlite3.Connection:
+    """Open a file for reading until `stack` is closed. This needs no write access.
+
+    If a process was killed while it wrote, SQLite has to undo its last transaction. It does that in a
+    copy.
+    """
+    _check_kind(path)
+    uri = f"{path.resolve().as_uri()}?mode=ro"
+    db = stack.enter_context(closing(sqlite3.connect(uri, timeout=_BUSY_S, uri=True)))
+    try:
+        db.execute("PRAGMA user_version")
+    except sqlite3.OperationalError as error:
+        if getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_READONLY_ROLLBACK:
+            raise
+    else:
+        return db
+    copy = Path(stack.enter_context(TemporaryDirectory()))
+    for name in (path.name, f"{path.name}-journal"):
+        shutil.copyfile(path.with_name(name), copy / name)
+    return stack.enter_context(closing(sqlite3.connect(copy / path.name)))
 
 
 def damaged(path: Path, why: str) -> JournalError:
@@ -55,17 +107,29 @@ def damaged(path: Path, why: str) -> JournalError:
 
 
 @contextmanager
-def explain_errors(path: Path) -> Iterator[None]:
-    """Convert SQLite and file system errors to a `JournalError`, also for damage."""
+def explain_errors(path: Path, *, reading: bool = False) -> Iterator[None]:
+    """Convert SQLite and file system errors to a `JournalError`, also for damage.
+
+    Args:
+        path: the file.
+        reading: whether the block only reads.
+    """
     try:
         yield
-    except (sqlite3.OperationalError, OSError) as error:
+    except UnicodeError as error:  # from a message of SQLite that quotes damaged text
+        raise damaged(path, str(error)) from None
+    except sqlite3.IntegrityError as error:
+        raise JournalError(f"{path} cannot record this: {error}") from None
+    except (sqlite3.DatabaseError, OSError) as error:
+        code = getattr(error, "sqlite_errorcode", None)  # None if text is not UTF-8, which is damage
+        if isinstance(error, sqlite3.DatabaseError) and (code is None or code & 0xFF not in _HEALTHY):
+            raise damaged(path, str(error)) from None
+        if reading:
+            raise JournalError(f"cannot read {path}: {error}; make sure that you may read it") from None
         raise JournalError(
             f"cannot read or write {path}: {error} (is the disk full?). Recorded evaluations are safe; "
             f"free some space and run `caterpillar resume {path.parent}`"
         ) from None
-    except sqlite3.DatabaseError as error:
-        raise damaged(path, str(error)) from None
 
 
 def digest(values: Sequence[Any]) -> bytes:

@@ -13,10 +13,12 @@ import numpy as np
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.files import write_json
 from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.robot import Outcomes, Robot
 from caterpillar_env.task import Failure
 from evolution.config import RunConfig
+from evolution.run.database import damaged
 from evolution.run.journal import Completion, Evaluation, Journal
 from evolution.run.objective import OBJECTIVES, Objective, distance, find_best, score
 
@@ -61,6 +63,8 @@ class History:
         # Read these before the evaluations, because another process may complete a generation meanwhile.
         self._completions = journal.generations()
         self.evaluations: list[Evaluation] = list(journal.evaluations())
+        if self._completions and len(self.evaluations) < self._completions[-1].evaluations:
+            raise damaged(journal.path, f"evaluation {len(self.evaluations)} is missing")
         self.generations: list[Generation] = []
         self.best: Evaluation | None = None  #: the best evaluation so far, see `objective.find_best`
 
@@ -104,7 +108,10 @@ class History:
                 f"{self.folder} holds a {self.kind} run, not an evolutionary run; use `caterpillar rl`"
             )
         data = {k: v for k, v in self.configuration.items() if not k.startswith("own_")}
-        return RunConfig.from_dict(data)
+        try:
+            return RunConfig.from_dict(data)
+        except CaterpillarError as error:
+            raise CaterpillarError(f"{self._journal.path}: {error}") from None
 
     def configure(self, config: RunConfig) -> None:
         """Replace the configuration of an evolutionary run, for example by one with more generations."""
@@ -202,6 +209,8 @@ class History:
         """Return gene names, and values (E, n) in SI units. Training runs have morphology genes only."""
         genomes = [e.genome for e in self.evaluations]
         if self.kind == "training":
+            if genomes and len(genomes[0]) != len(NAMES):
+                raise damaged(self._journal.path, "the bodies have other genes")
             bodies = [Morphology.from_unit(genome).to_array() for genome in genomes]
             return list(NAMES), np.reshape(bodies, (len(genomes), len(NAMES)))
         names = [gene.name for gene in self.config.encoding.genes]
@@ -248,12 +257,13 @@ class History:
         number, before = len(self.generations), self.best
         known = number < len(self._completions)
         outcomes = self._advance(replayed=replayed)
-        if not known:
-            self._journal.complete(self._completions[number])
         if self.best is not None and self.kind == "evolution":
             file = self.folder / "best.json"
             if (not known and self.best is not before) or not file.exists():
-                self.robot(self.best).save(file)
+                advice = f"free some space and run `caterpillar resume {self.folder}`"
+                write_json(file, self.robot(self.best).to_dict(), advice)
+        if not known:  # last, so that a resumed run writes what could not be written before
+            self._journal.complete(self._completions[number])
         return outcomes
 
     def finish(self) -> None:
@@ -279,10 +289,14 @@ class History:
     def _advance(self, *, replayed: bool) -> Outcomes:
         """Summarize the next generation, and return its outcomes."""
         number, rows = len(self.generations), self._next_rows()
+        if not rows:
+            raise damaged(self._journal.path, f"generation {number} has no evaluations")
         outcomes = to_outcomes(rows)
         if number == len(self._completions):
             self._completions.append(self._find_completion(rows, outcomes))
         completion = self._completions[number]
+        if rows[-1].number + 1 != completion.evaluations or (completion.best or 0) > rows[-1].number:
+            raise damaged(self._journal.path, f"generation {number} has other evaluations")
         if completion.best is not None:
             self.best = self.evaluations[completion.best]
         crawled_m = outcomes.fitness()

@@ -7,19 +7,20 @@ Tables (readable with any SQLite tool; docs/runs.md describes the columns):
 - `evaluations`: one row per genome, committed in chunks.
 - `generations`: one row per completed generation, with the best evaluation so far.
 
-The digests in the last two tables detect damage. The state of the optimizer is not stored: a run is
-resumed by replaying it from the journal.
+Each row has a digest of its other columns, which detects damage (see `evolution.run.schema`). The state
+of the optimizer is not stored: a run is resumed by replaying it from the journal.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import platform
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
-from datetime import datetime
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,46 +28,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caterpillar_env.arrays import Array
+from caterpillar_env.files import parse_json
 from caterpillar_env.task import Failure
-from evolution.run.database import JournalError, damaged, digest, explain_errors, lock
+from evolution.run import schema
+from evolution.run.database import (
+    JournalError,
+    connect_to_read,
+    connect_to_write,
+    damaged,
+    digest,
+    explain_errors,
+    lock,
+)
 
 FILE = "journal.sqlite"
-SCHEMA = 2  #: schema 1 had no table `generations`
-_APPLICATION = 0x43415450  # "CATP"
-_BUSY_S = 60.0  # how long to wait for another connection to finish reading
 _PACKAGES = ("caterpillar-sma", "mujoco", "numpy", "scipy", "cma")
 _FAILURES = {failure.label: failure for failure in Failure}
-
-_GENERATIONS = """
-CREATE TABLE generations (
-    generation INTEGER PRIMARY KEY,
-    evaluations INTEGER NOT NULL,
-    best INTEGER REFERENCES evaluations,
-    objective REAL,
-    digest BLOB NOT NULL
-);
-"""
-_TABLES = f"""
-CREATE TABLE run (configuration TEXT NOT NULL);
-CREATE TABLE sessions (
-    session INTEGER PRIMARY KEY,
-    started TEXT NOT NULL,
-    fingerprint TEXT NOT NULL,
-    finished TEXT
-);
-CREATE TABLE evaluations (
-    evaluation INTEGER PRIMARY KEY,
-    generation INTEGER NOT NULL,
-    genome BLOB NOT NULL,
-    failure TEXT NOT NULL,
-    distance_m REAL NOT NULL,
-    energy_j REAL NOT NULL,
-    simulated_s REAL NOT NULL,
-    session INTEGER NOT NULL REFERENCES sessions,
-    digest BLOB NOT NULL
-);
-{_GENERATIONS}
-"""
 
 
 class Evaluation(NamedTuple):
@@ -128,23 +105,21 @@ class Journal:
 
     def __init__(self, folder: Path, *, read_only: bool = False) -> None:
         self.path = folder / FILE
-        if not self.path.is_file():
-            raise JournalError(
-                f"{folder} is not a run folder: it contains no {FILE}; give one that caterpillar made"
-            )
-        self._schema = SCHEMA
         with ExitStack() as stack:
-            if not read_only:
-                stack.enter_context(lock(folder))
-            self._db = stack.enter_context(closing(sqlite3.connect(self.path, timeout=_BUSY_S)))
-            with explain_errors(self.path):
+            with explain_errors(self.path, reading=read_only):
+                if not self.path.exists():
+                    raise JournalError(
+                        f"{folder} is not a run folder: it contains no {FILE}; give one that "
+                        "caterpillar made"
+                    )
                 if not read_only:
-                    self._db.execute("PRAGMA journal_mode = DELETE")  # works on network file systems
-                    self._db.execute("PRAGMA synchronous = FULL")  # rows survive a crash of the machine
-                self._check()
-                if not read_only and self._schema == 1:
-                    self._db.executescript(f"BEGIN; PRAGMA user_version = 2; {_GENERATIONS} COMMIT;")
-                    self._schema = SCHEMA
+                    stack.enter_context(lock(folder))
+                connect = connect_to_read if read_only else connect_to_write
+                self._db = connect(self.path, stack)
+                self._schema = schema.check(self._db, self.path)
+                if not read_only:
+                    schema.upgrade(self._db, self._schema)
+                    self._schema = schema.SCHEMA
             self._resources = stack.pop_all()
 
     @classmethod
@@ -155,17 +130,15 @@ class Journal:
             JournalError: the folder has a journal already, or cannot be written.
         """
         path = folder / FILE
-        if path.exists():
-            raise JournalError(f"{path} exists already; resume that run, or choose another folder")
         partial = path.with_name(f".{FILE}.partial")
-        with explain_errors(path):
+        with explain_errors(path), closing(lock(folder)):
+            if path.exists():
+                raise JournalError(f"{path} exists already; resume that run, or choose another folder")
             partial.unlink(missing_ok=True)
             with closing(sqlite3.connect(partial)) as db, db:
-                db.executescript(
-                    f"BEGIN; PRAGMA application_id = {_APPLICATION}; PRAGMA user_version = {SCHEMA};"
-                    f"{_TABLES} COMMIT;"
-                )
-                db.execute("INSERT INTO run VALUES (?)", [json.dumps(configuration)])
+                db.executescript(f"BEGIN; {schema.TABLES} COMMIT;")
+                text = json.dumps(configuration)
+                db.execute("INSERT INTO run VALUES (?, ?)", [text, digest([text])])
             os.replace(partial, path)  # atomic, so that no incomplete journal exists
         return cls(folder)
 
@@ -179,45 +152,39 @@ class Journal:
         """Close the file and release the lock."""
         self._resources.close()
 
-    def _check(self) -> None:
-        (application,) = self._db.execute("PRAGMA application_id").fetchone()
-        (self._schema,) = self._db.execute("PRAGMA user_version").fetchone()
-        problems = [problem for (problem,) in self._db.execute("PRAGMA quick_check(3)")]
-        if application != _APPLICATION:
-            raise JournalError(
-                f"{self.path} is an SQLite file of another program; give a folder that caterpillar made"
-            )
-        if self._schema > SCHEMA:
-            raise JournalError(
-                f"{self.path} was written by a newer version of this package (schema {self._schema}; "
-                f"this version reads up to {SCHEMA}): install the newer version"
-            )
-        if problems != ["ok"]:
-            raise damaged(self.path, "; ".join(problems))
-
-    def _execute(self, statement: str, *values: Any) -> list[Any]:
-        """Run a statement in a transaction, and return its rows."""
-        with explain_errors(self.path), self._db:
-            return self._db.execute(statement, values).fetchall()
-
     @property
     def configuration(self) -> dict[str, Any]:
         """The configuration of the run, as given to `create` or `configure`."""
-        ((text,),) = self._execute("SELECT configuration FROM run")
-        data: dict[str, Any] = json.loads(text)
-        return data
+        rows = list(self._read("run"))
+        if len(rows) != 1:
+            raise damaged(self.path, f"it has {len(rows)} configurations")
+        return self._parse(rows[0][0], "the configuration")
 
     def configure(self, configuration: Mapping[str, Any]) -> None:
         """Replace the configuration, for example by one with more generations."""
-        self._execute("UPDATE run SET configuration = ?", json.dumps(configuration))
+        text = json.dumps(configuration)
+        self._write("UPDATE run SET configuration = ?, digest = ?", (text, digest([text])))
 
     @property
     def sessions(self) -> list[Session]:
         """All sessions, in order."""
-        rows = self._execute(
-            "SELECT session, started, finished, fingerprint FROM sessions ORDER BY session"
-        )
-        return [Session(n, start, end, json.loads(text)) for n, start, end, text in rows]
+        found = []
+        for number, start, end, text in self._read_sessions():
+            session = Session(number, start, end, self._parse(text, f"session {number}"))
+            try:
+                _ = session.wall_s
+            except (TypeError, ValueError):
+                raise damaged(self.path, f"session {number} has no valid time") from None
+            found.append(session)
+        return found
+
+    def _read_sessions(self) -> list[tuple[int, str, str | None, str]]:
+        """Return number, start, end and fingerprint of each session, after checking the numbers."""
+        rows = [(row[0], row[1], row[3], row[2]) for row in self._read("sessions")]
+        for expected, (number, *_) in enumerate(rows, start=1):
+            if number != expected:
+                raise damaged(self.path, f"session {expected} is missing")
+        return rows
 
     def begin(self, packages: Sequence[str] = ()) -> None:
         """Begin a session.
@@ -225,17 +192,27 @@ class Journal:
         Args:
             packages: names of packages whose versions to record besides those of `fingerprint`.
         """
-        self._execute(
-            "INSERT INTO sessions (started, fingerprint) VALUES (datetime('now'), ?)",
-            json.dumps(fingerprint(packages)),
-        )
+        row = (len(self._read_sessions()) + 1, _now(), json.dumps(fingerprint(packages)), None)
+        self._insert("sessions", [row])
 
     def finish(self) -> None:
         """Record that the run ended in its last session."""
-        self._execute(
-            "UPDATE sessions SET finished = datetime('now') "
-            "WHERE session = (SELECT max(session) FROM sessions)"
+        number, started, _, text = self._read_sessions()[-1]
+        row = (number, started, text, _now())
+        self._write(
+            "UPDATE sessions SET finished = ?, digest = ? WHERE session = ?",
+            (row[-1], digest(row), number),
         )
+
+    def _parse(self, text: Any, what: str) -> dict[str, Any]:
+        """Parse a JSON object. Without a digest, damage to it may show only here."""
+        try:
+            data = parse_json(text)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise damaged(self.path, f"{what} is not JSON: {error}") from None
+        if not isinstance(data, dict):
+            raise damaged(self.path, f"{what} is not a JSON object")
+        return data
 
     def append(self, evaluations: Sequence[Evaluation]) -> None:
         """Add evaluations in one transaction.
@@ -266,40 +243,61 @@ class Journal:
                 places = ", ".join("?" * len(row))
                 self._db.execute(f"INSERT INTO {table} VALUES ({places}, ?)", (*row, digest(row)))
 
+    def _write(self, statement: str, values: Sequence[Any]) -> None:
+        """Run a statement in a transaction."""
+        with explain_errors(self.path), self._db:
+            self._db.execute(statement, values)
+
     def evaluations(self) -> Iterator[Evaluation]:
         """Yield all evaluations, in order.
 
         Raises:
             JournalError: an evaluation is missing or was altered.
         """
-        for number, values in enumerate(self._read("evaluations", "evaluation")):
+        sizes = set()  # of the genomes in bytes
+        for number, values in enumerate(self._read("evaluations")):
             if values[0] != number:
                 raise damaged(self.path, f"evaluation {number} is missing")
             _, generation, genome, failure, *numbers = values
-            genes = np.frombuffer(genome, dtype="<f8").astype(np.float64)
-            yield Evaluation(number, generation, genes, _FAILURES[failure], *numbers)
+            sizes.add(len(genome))
+            try:
+                genes = np.frombuffer(genome, dtype="<f8").astype(np.float64)
+                valid = len(sizes) == 1 and math.isfinite(sum(numbers))
+                evaluation = Evaluation(number, generation, genes, _FAILURES[failure], *numbers)
+            except (TypeError, ValueError, KeyError):
+                valid = False
+            if not valid:
+                raise damaged(self.path, f"evaluation {number} is invalid")
+            yield evaluation
 
     def generations(self) -> list[Completion]:
         """Return the completed generations, in order. Files with schema 1 record none.
 
         Raises:
-            JournalError: a row was altered.
+            JournalError: a row is missing or was altered.
         """
         if self._schema == 1:
             return []
-        return [Completion(*values) for values in self._read("generations", "generation")]
+        found = [Completion(*values) for values in self._read("generations")]
+        for expected, (number, *_) in enumerate(found):
+            if number != expected:
+                raise damaged(self.path, f"generation {expected} is missing")
+        return found
 
-    def _read(self, table: str, key: str) -> Iterator[tuple[Any, ...]]:
+    def _read(self, table: str) -> Iterator[tuple[Any, ...]]:
         """Yield the rows of a table without their digests, after checking these."""
-        count = 0
-        try:
-            for *values, stored in self._db.execute(f"SELECT * FROM {table} ORDER BY {key}"):
-                if stored != digest(tuple(values)):
-                    raise damaged(self.path, f"{key} {count} was altered")
-                yield tuple(values)
-                count += 1
-        except sqlite3.DatabaseError as error:
-            raise damaged(self.path, f"{key} {count} cannot be read ({error})") from None
+        checked = schema.has_digests(table, self._schema)
+        with explain_errors(self.path, reading=True):
+            for count, row in enumerate(self._db.execute(f"SELECT * FROM {table} ORDER BY rowid")):
+                values = row[:-1] if checked else row
+                if checked and row[-1] != digest(values):
+                    raise damaged(self.path, f"row {count} of the table {table} was altered")
+                yield values
+
+
+def _now() -> str:
+    """Return the date and time, UTC."""
+    return datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S")
 
 
 def read_simulated_s(folder: Path) -> float:
@@ -308,7 +306,8 @@ def read_simulated_s(folder: Path) -> float:
     To be fast enough for polling, this reads no genomes and checks no digests.
     """
     try:
-        with closing(sqlite3.connect(f"{(folder / FILE).resolve().as_uri()}?mode=ro", uri=True)) as db:
+        with ExitStack() as stack:
+            db = connect_to_read(folder / FILE, stack)
             return float(db.execute("SELECT total(simulated_s) FROM evaluations").fetchone()[0])
-    except sqlite3.Error:
+    except (sqlite3.Error, OSError, JournalError):
         return 0.0

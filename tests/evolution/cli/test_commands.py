@@ -254,7 +254,7 @@ def test_resume_refuses_a_damaged_journal(elsewhere, capsys):
         db.execute("UPDATE evaluations SET distance_m = 1.0 WHERE evaluation = 4")
     capsys.readouterr()
     assert cli.main(["resume", "run", "--no-video"]) == 1
-    assert "evaluation 4 was altered" in capsys.readouterr().err
+    assert "row 4 of the table evaluations was altered" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import sqlite3
 from dataclasses import replace
 
 import mujoco
@@ -215,12 +214,10 @@ def test_a_generation_that_is_completed_while_the_journal_is_read_waits(tmp_path
         assert len(load(tmp_path).generations) == 2
 
 
-def test_a_journal_without_the_ends_of_generations_is_read_the_same(runs, tmp_path):
+def test_a_journal_without_the_ends_of_generations_is_read_the_same(runs, downgrade, tmp_path):
     for name in ("done", "stopped"):
         folder = shutil.copytree(runs / name, tmp_path / name)
-        db = sqlite3.connect(folder / FILE)
-        db.executescript("DROP TABLE generations; PRAGMA user_version = 1;")
-        db.close()
+        downgrade(folder, 1)
         now, then = load(folder), load(runs / name)
         # Without its end, the last generation of a run that was stopped counts as incomplete.
         complete = len(then.generations) if then.finished else len(then.generations) - 1

@@ -8,14 +8,17 @@ import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
 
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure
-from evolution.run.database import JournalError, is_in_use
-from evolution.run.journal import FILE, Completion, Evaluation, Journal
+from evolution.run.database import JournalError, digest, is_in_use
+from evolution.run.history import History
+from evolution.run.journal import FILE, Completion, Evaluation, Journal, read_simulated_s
+from evolution.run.schema import SCHEMA, list_columns
 
 CONFIGURATION = {"seed": 3, "generations": 2}
 
@@ -128,7 +131,7 @@ def test_flipped_bits_are_never_taken_for_data(tmp_path, seed):
     content[place] ^= 1 << int(rng.integers(0, 8))
     path.write_bytes(content)
     with (
-        pytest.raises(JournalError, match=rf"evaluation {victim} (was altered|cannot be)"),
+        pytest.raises(JournalError, match=rf"row {victim} of the table|Could not decode"),
         Journal(tmp_path) as journal,
     ):
         list(journal.evaluations())
@@ -238,21 +241,192 @@ def test_the_ends_of_generations_come_back(tmp_path):
     with db:
         db.execute("UPDATE generations SET best = 3 WHERE generation = 1")
     db.close()
-    with Journal(tmp_path) as journal, pytest.raises(JournalError, match="generation 1"):
+    with (
+        Journal(tmp_path) as journal,
+        pytest.raises(JournalError, match="row 1 of the table generations"),
+    ):
         journal.generations()
 
 
-def test_a_journal_of_the_first_schema_is_read_and_upgraded(tmp_path):
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_journal_of_an_earlier_schema_is_read_and_upgraded(tmp_path, downgrade, version):
     written(tmp_path)
-    db = sqlite3.connect(tmp_path / FILE)
-    db.executescript("DROP TABLE generations; PRAGMA user_version = 1;")
-    db.close()
+    ends = [] if version == 1 else [Completion(0, 3, None, None), Completion(1, 5, None, None)]
+    downgrade(tmp_path, version)
     with Journal(tmp_path, read_only=True) as journal:
-        assert journal.generations() == []
+        sessions = journal.sessions
+        assert journal.generations() == ends
+        assert journal.configuration == CONFIGURATION
         assert len(list(journal.evaluations())) == 5
     with Journal(tmp_path) as journal:
-        journal.complete(Completion(0, 3, None, None))
-        assert journal.generations() == [Completion(0, 3, None, None)]
+        journal.complete(Completion(len(ends), 5, None, None))
+        journal.finish()
+    with Journal(tmp_path, read_only=True) as journal:
+        assert journal.generations() == [*ends, Completion(len(ends), 5, None, None)]
+        assert journal.configuration == CONFIGURATION
+        assert journal.sessions[0].fingerprint == sessions[0].fingerprint
+        assert journal.sessions[0].finished is not None
+
+
+def edit(folder, statement, *values):
+    with closing(sqlite3.connect(folder / FILE)) as db, db:
+        db.execute(statement, values)
+
+
+@pytest.mark.parametrize(
+    ("statement", "message"),
+    [
+        ("UPDATE run SET configuration = replace(configuration, '3', '4')", "row 0 of the table run"),
+        ("DELETE FROM run", "it has 0 configurations"),
+        (
+            "UPDATE sessions SET fingerprint = replace(fingerprint, 'mujoco', 'muioco')",
+            "of the table sess",
+        ),
+        ("UPDATE sessions SET finished = datetime('now')", "row 0 of the table sessions was altered"),
+        ("DELETE FROM generations WHERE generation = 0", "generation 0 is missing"),
+        ("DELETE FROM evaluations WHERE evaluation = 2", "evaluation 2 is missing"),
+        ("DELETE FROM evaluations WHERE evaluation = 4", "evaluation 4 is missing"),
+        ("ALTER TABLE run RENAME COLUMN digest TO digesu", "table run does not have the columns"),
+        ("DROP TABLE generations", "table generations does not have the columns of schema 3"),
+        ("PRAGMA user_version = 2", "table run does not have the columns of schema 2"),
+    ],
+)
+def test_no_altered_or_missing_row_is_read(tmp_path, statement, message):
+    written(tmp_path)
+    edit(tmp_path, statement)
+    with pytest.raises(JournalError, match=f"journal.sqlite is damaged: .*{message}"):
+        History.read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "value", "message"),
+    [
+        ("run", "configuration", "{", "the configuration is not JSON"),
+        ("run", "configuration", '{"seed": 1, "seed": 2}', "the configuration is not JSON: it repeats"),
+        ("run", "configuration", "[" * 100_000, "the configuration is not JSON"),
+        ("run", "configuration", "[1]", "the configuration is not a JSON object"),
+        ("run", "configuration", 5, "the configuration is not a JSON object"),
+        ("run", "configuration", b"\xff", "the configuration is not JSON"),
+        ("sessions", "fingerprint", "no", "session 1 is not JSON"),
+        ("sessions", "started", "then", "session 1 has no valid time"),
+    ],
+)
+def test_damaged_text_of_an_earlier_schema_is_told(tmp_path, downgrade, table, column, value, message):
+    written(tmp_path)
+    downgrade(tmp_path, 2)
+    edit(tmp_path, f"UPDATE {table} SET {column} = ?", value)
+    edit(tmp_path, "UPDATE sessions SET finished = started")
+    with pytest.raises(JournalError, match=f"journal.sqlite is damaged: {message}"):
+        History.read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"genome": b"123"}, {"genome": b""}, {"genome": bytes(8)}, {"failure": "tired"},
+        {"distance_m": np.inf}, {"distance_m": "far"}, {"energy_j": b"x"}, {"generation": "first"},
+        {"generation": 7},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_rows_of_a_hostile_file_are_refused_although_their_digests_are_right(tmp_path, changes):
+    written(tmp_path)
+    with closing(sqlite3.connect(tmp_path / FILE)) as db, db:
+        row = list(db.execute("SELECT * FROM evaluations WHERE evaluation = 1").fetchone())[:-1]
+        names = list_columns(SCHEMA)["evaluations"]
+        for name, value in changes.items():
+            row[names.index(name)] = value
+        db.execute("DELETE FROM evaluations WHERE evaluation = 1")
+        db.execute(f"INSERT INTO evaluations VALUES ({'?, ' * len(row)}?)", (*row, digest(row)))
+    with pytest.raises(JournalError, match=r"journal\.sqlite is damaged: "):
+        History.read(tmp_path)
+
+
+@pytest.mark.parametrize("damage", ["flip", "truncate"])
+def test_damage_to_any_page_is_told_or_harmless(tmp_path, damage):
+    """One bit of every page, at three places of each, and the file without its end."""
+    genomes, _ = written(tmp_path, parts=(60, 30))
+    with Journal(tmp_path, read_only=True) as journal:
+        expected = journal.configuration, journal.sessions, journal.generations()
+    content, rng = (tmp_path / FILE).read_bytes(), np.random.default_rng(0)
+    page = 4096
+    for start in range(0, len(content), page):
+        for _ in range(3):
+            place = start + int(rng.integers(0, page))
+            altered = bytearray(content)
+            altered[place] ^= 1 << int(rng.integers(0, 8))
+            (tmp_path / FILE).write_bytes(altered if damage == "flip" else content[:place])
+            try:
+                with Journal(tmp_path, read_only=True) as journal:
+                    found = journal.configuration, journal.sessions, journal.generations()
+                    rows = list(journal.evaluations())
+            except JournalError:
+                continue
+            assert damage == "flip"
+            assert found == expected
+            assert np.array_equal([row.genome for row in rows], genomes)
+
+
+def test_bits_of_the_head_of_the_file_are_told_or_harmless(tmp_path):
+    """The first page holds the head of the file, with the schema's number, and the tables."""
+    genomes, _ = written(tmp_path)
+    content = (tmp_path / FILE).read_bytes()
+    for place in (*range(0, 100, 2), *range(4096 - 1200, 4096, 17)):
+        altered = bytearray(content)
+        altered[place] ^= 1 << place % 8
+        (tmp_path / FILE).write_bytes(altered)
+        try:
+            history = History.read(tmp_path)
+        except JournalError:
+            continue
+        assert history.configuration == CONFIGURATION
+        assert np.array_equal([row.genome for row in history.evaluations], genomes)
+
+
+def test_reading_needs_no_write_access(tmp_path):
+    """A process was killed while it wrote: its last transaction is undone in a copy."""
+    genomes, _ = written(tmp_path)
+    writer = sqlite3.connect(tmp_path / FILE)
+    writer.execute("PRAGMA cache_spill = 1")
+    writer.execute("PRAGMA cache_size = 1")
+    rows = [(i, 0, bytes(800), "ok", 0.0, 0.0, 0.0, 1, b"") for i in range(5, 500)]
+    writer.executemany("INSERT INTO evaluations VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", rows)
+    killed = tmp_path / "killed"
+    killed.mkdir()
+    for name in (FILE, f"{FILE}-journal"):
+        shutil.copyfile(tmp_path / name, killed / name)
+    writer.close()
+    before = {path.name: path.read_bytes() for path in killed.iterdir()}
+    killed.chmod(0o555)
+    try:
+        with Journal(killed, read_only=True) as journal:
+            assert np.array_equal([e.genome for e in journal.evaluations()], genomes)
+        assert {path.name: path.read_bytes() for path in killed.iterdir()} == before
+    finally:
+        killed.chmod(0o755)
+
+
+@pytest.mark.parametrize("name", [FILE, ".lock", f"{FILE}-journal"])
+def test_a_pipe_is_not_waited_for(tmp_path, name):
+    written(tmp_path)
+    (tmp_path / name).unlink(missing_ok=True)
+    os.mkfifo(tmp_path / name)
+    if name == ".lock":
+        Journal(tmp_path).close()
+        assert len(History.read(tmp_path).evaluations) == 5
+    else:
+        for read_only in (True, False):
+            with pytest.raises(JournalError, match="is not a regular file"):
+                Journal(tmp_path, read_only=read_only)
+        assert read_simulated_s(tmp_path) == 0.0
+    assert not is_in_use(tmp_path)
+
+
+def test_a_lock_never_empties_the_file_it_points_to(tmp_path):
+    (tmp_path / "other").write_text("precious")
+    (tmp_path / ".lock").symlink_to(tmp_path / "other")
+    written(tmp_path)
+    assert (tmp_path / "other").read_text() == "precious"
 
 
 def test_a_journal_can_be_looked_at_while_it_is_written(tmp_path):

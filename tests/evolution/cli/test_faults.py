@@ -1,0 +1,149 @@
+"""Faults of the machine and damaged or hostile files: one clear line, or the right data."""
+
+import errno
+import json
+import os
+import shutil
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from evolution import cli
+from evolution.cli.running import Reporter
+from evolution.run.history import load
+from evolution.run.journal import FILE, Journal
+
+FLAGS = [
+    "evolve", "--num-segments", "2", "--timestep-s", "0.01", "--friction", "0.7", "--population", "3",
+    "--hall-of-fame", "1", "--generations", "2", "--seed", "4", "--no-video", "--out", "run",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Folder of a run."""
+    folder = tmp_path_factory.mktemp("faults") / "run"
+    assert cli.main([*FLAGS[:-1], str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture
+def elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("evolution.cli.running.write_results", lambda *_, **__: None)  # takes a second
+    return tmp_path
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_signals_end_a_run_as_ctrl_c_does(elsewhere, monkeypatch, capsys, number):
+    def stop(*_):
+        os.kill(os.getpid(), number)
+        time.sleep(5.0)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Reporter, "generation", stop)
+        assert cli.main(FLAGS) == 130
+    assert "stopped; continue with: caterpillar resume run" in capsys.readouterr().err
+    assert signal.getsignal(number) is signal.SIG_DFL
+    assert len(load("run").generations) == 1
+    assert cli.main(["resume", "run", "--no-video"]) == 0
+    assert len(load("run").generations) == 2
+
+
+def test_ignored_signals_stay_ignored(monkeypatch):
+    """As under nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert (
+            cli.dispatch({"x": lambda: lambda _: os.kill(os.getpid(), signal.SIGHUP) or 0}, ["x"]) == 0
+        )
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_errors_of_the_system_are_one_line(capsys):
+    def fail(_):
+        raise PermissionError(errno.EACCES, "Permission denied", "secret")
+
+    assert cli.dispatch({"x": lambda: fail}, ["x"]) == 1
+    assert capsys.readouterr().err == "caterpillar x: error: [Errno 13] Permission denied: 'secret'\n"
+
+
+def test_a_run_killed_before_its_journal_existed_starts_again(elsewhere, capsys):
+    (elsewhere / "run").mkdir()
+    for name in (f".{FILE}.partial", f".{FILE}.partial-journal", ".lock"):
+        (elsewhere / "run" / name).write_text("partly")
+    assert cli.main(["resume", "run"]) == 1
+    assert "run is not a run folder" in capsys.readouterr().err
+    assert cli.main(FLAGS) == 0
+    assert load("run").finished
+    assert not (elsewhere / "run" / f".{FILE}.partial").exists()
+
+
+def test_a_full_disk_costs_only_what_was_not_written(run, elsewhere, monkeypatch, capsys):
+    """best.json does not fit. The resumed run writes it, and is the same as the uninterrupted one."""
+
+    def fill_disk(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_text", fill_disk)
+        assert cli.main(FLAGS) == 1
+    error = capsys.readouterr().err
+    assert "cannot write run/best.json: No space left on device; free some space" in error
+    assert "caterpillar resume run" in error
+    assert cli.main(["resume", "run", "--no-video"]) == 0
+    best = json.loads((elsewhere / "run" / "best.json").read_text())
+    assert best == json.loads((run / "best.json").read_text())
+    assert load("run").table().drop("session").equals(load(run).table().drop("session"))
+
+
+def test_one_bad_run_does_not_end_the_list_of_runs(run, elsewhere, capsys):
+    good = shutil.copytree(run, elsewhere / "runs" / "good")
+    configurations = {
+        "a": {"seed": 1, "luck": 2}, "b": {"kind": "training"}, "c": {"kind": [1]},
+        "d": {"ga": {"population": "many"}}, "e": {"physics": 3},
+    }  # fmt: skip
+    for name, configuration in configurations.items():
+        (elsewhere / "runs" / name).mkdir()
+        Journal.create(elsewhere / "runs" / name, configuration).close()
+    (elsewhere / "runs" / "f").mkdir()
+    os.mkfifo(elsewhere / "runs" / "f" / FILE)
+    (good / "best.json").write_text('{"fitness_m": "far"}')
+    assert cli.main(["runs", "--json"]) == 0
+    states = {
+        row["run"].removeprefix("runs/"): row["state"] for row in json.loads(capsys.readouterr().out)
+    }
+    assert states["good"] == "finished"
+    assert states["b"] == "stopped"
+    assert "has no luck" in states["a"]
+    assert "holds a [1] run" in states["c"]
+    assert "population = 'many' must be an integer" in states["d"]
+    assert "physics must be a mapping" in states["e"]
+    assert "is not a regular file" in states["f"]
+
+
+def test_best_robot_with_a_text_as_fitness_is_refused(run, elsewhere, capsys):
+    folder = shutil.copytree(run, elsewhere / "run")
+    data = json.loads((folder / "best.json").read_text())
+    (folder / "best.json").write_text(json.dumps(data | {"fitness_m": "far"}))
+    assert cli.main(["replay", "run", "--no-video"]) == 1
+    assert "best.json: fitness_m = 'far' must be a finite number" in capsys.readouterr().err
+
+
+def test_one_changed_digit_of_the_configuration_is_told_by_every_command(run, elsewhere, capsys):
+    folder = shutil.copytree(run, elsewhere / "run")
+    content = (folder / FILE).read_bytes()
+    assert content.count(b'"turns": 100.0') == 1
+    (folder / FILE).write_bytes(content.replace(b'"turns": 100.0', b'"turns": 110.0'))
+    for command in (
+        ["resume"],
+        ["report", "--no-video"],
+        ["export"],
+        ["view"],
+        ["replay", "--generations", "0"],
+    ):
+        assert cli.main([command[0], "run", *command[1:]]) == 1
+        assert "journal.sqlite is damaged: row 0 of the table run was altered" in capsys.readouterr().err
