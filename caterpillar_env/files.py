@@ -61,8 +61,8 @@ def unused(parent: Path, name: str) -> Path:
     return folder
 
 
-def write_json(path: Path, data: Any, advice: str = _ELSEWHERE) -> None:
-    """Write a JSON file atomically.
+def write_bytes(path: Path, data: bytes, advice: str = _ELSEWHERE) -> None:
+    """Write a file atomically. Pipes and devices are written directly.
 
     Raises:
         CaterpillarError: the file cannot be written, for example because the disk is full. An existing
@@ -71,11 +71,19 @@ def write_json(path: Path, data: Any, advice: str = _ELSEWHERE) -> None:
     partial = path.with_name(f".{path.name}.partial")
     try:
         with writing(path, advice):
-            partial.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+            if path.exists() and not path.is_file():  # such as /dev/stdout
+                path.write_bytes(data)
+                return
+            partial.write_bytes(data)
             os.replace(partial, path)
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
+
+
+def write_json(path: Path, data: Any, advice: str = _ELSEWHERE) -> None:
+    """Write a JSON file atomically, see `write_bytes`."""
+    write_bytes(path, (json.dumps(data, indent=2) + "\n").encode(), advice)
 
 
 def parse_json(text: str) -> Any:

@@ -245,7 +245,7 @@ class Robot:
         """
         path, advice = Path(path), "give a run folder or the JSON file of one robot"
         if os.path.isdir(path):
-            if not os.path.exists(path / "best.json"):
+            if os.access(path, os.X_OK) and not (path / "best.json").exists():
                 raise CaterpillarError(
                     f"{path} holds no best.json: it is not a run folder, or no robot of the run has "
                     f"crawled forwards without failing yet; {advice}"

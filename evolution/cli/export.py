@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from caterpillar_env.files import writing
+from caterpillar_env.files import write_bytes
 from caterpillar_env.model import model_xml
 from caterpillar_env.robot import Robot
 from evolution import cli
@@ -44,14 +45,14 @@ def export_command(argv: Sequence[str]) -> int:
         robot = Robot.load(args.source)
         file = args.source / "best.json" if args.source.is_dir() else args.source
         out = args.out or file.with_suffix(".xml")
-        with writing(out):
-            out.write_text(model_xml(robot.morphology, robot.physics), encoding="utf-8")
+        write_bytes(out, model_xml(robot.morphology, robot.physics).encode())
         written = f"model of a robot with {robot.physics.num_segments} segments"
     else:
         table = History.read(args.source).table()
         out = args.out or args.source / f"evaluations.{kind}"
-        with writing(out), out.open("wb") as stream:
-            getattr(table, f"write_{kind}")(stream)
+        content = io.BytesIO()  # because polars ignores or disguises that a disk is full
+        getattr(table, f"write_{kind}")(content)
+        write_bytes(out, content.getvalue())
         written = f"{len(table)} evaluations"
     print(f"{written} written to {out}", file=sys.stderr)
     return 0

@@ -107,12 +107,13 @@ def damaged(path: Path, why: str) -> JournalError:
 
 
 @contextmanager
-def explain_errors(path: Path, *, reading: bool = False) -> Iterator[None]:
+def explain_errors(path: Path, *, reading: bool = False, advice: str = "") -> Iterator[None]:
     """Convert SQLite and file system errors to a `JournalError`, also for damage.
 
     Args:
         path: the file.
         reading: whether the block only reads.
+        advice: advice if the file cannot be written; by default, to resume the run.
     """
     try:
         yield
@@ -126,10 +127,11 @@ def explain_errors(path: Path, *, reading: bool = False) -> Iterator[None]:
             raise damaged(path, str(error)) from None
         if reading:
             raise JournalError(f"cannot read {path}: {error}; make sure that you may read it") from None
-        raise JournalError(
-            f"cannot read or write {path}: {error} (is the disk full?). Recorded evaluations are safe; "
-            f"free some space and run `caterpillar resume {path.parent}`"
-        ) from None
+        advice = advice or (
+            "Recorded evaluations are safe; make sure that the folder can be written, and run "
+            f"`caterpillar resume {path.parent}`"
+        )
+        raise JournalError(f"cannot write {path}: {error} (is the disk full?). {advice}") from None
 
 
 def digest(values: Sequence[Any]) -> bytes:

@@ -131,7 +131,8 @@ class Journal:
         """
         path = folder / FILE
         partial = path.with_name(f".{FILE}.partial")
-        with explain_errors(path), closing(lock(folder)):
+        advice = "Nothing was recorded; start the run again where there is space"
+        with explain_errors(path, advice=advice), closing(lock(folder)):
             if path.exists():
                 raise JournalError(f"{path} exists already; resume that run, or choose another folder")
             partial.unlink(missing_ok=True)

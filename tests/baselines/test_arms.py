@@ -1,7 +1,6 @@
 """Reinforcement learning as an arm of a study, next to a genetic algorithm."""
 
 import shutil
-import sqlite3
 from dataclasses import replace
 
 import polars
@@ -70,8 +69,8 @@ def test_report_describes_both_arms(finished):
 def test_run_repeats_an_interrupted_training(finished, tmp_path):
     arm, run = load(finished).arms["ppo"], tmp_path / "cell"
     shutil.copytree(Cell("ppo", 0).folder(finished), run)
-    with sqlite3.connect(run / "journal.sqlite") as db:
-        db.execute("UPDATE sessions SET finished = NULL")
+    with Journal(run) as journal:
+        journal.begin()  # a session without an end
     before = History.read(run)
     assert not before.finished
     assert arm.run(run, 0, 300)

@@ -1,8 +1,5 @@
 """Training runs of small robots: records, budgets and errors."""
 
-import json
-import sqlite3
-
 import numpy as np
 import pytest
 
@@ -14,6 +11,7 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure
+from evolution.run.journal import Journal
 
 SMALL = Physics(num_segments=2, timestep_s=0.01)
 
@@ -242,9 +240,7 @@ def test_too_small_budget_is_rejected(tmp_path):
 
 def test_evolutionary_run_is_no_training(trained, tmp_path):
     (tmp_path / "journal.sqlite").write_bytes((trained[0] / "journal.sqlite").read_bytes())
-    with sqlite3.connect(tmp_path / "journal.sqlite") as db:
-        (text,) = db.execute("SELECT configuration FROM run").fetchone()
-        data = {k: v for k, v in json.loads(text).items() if k != "kind"}
-        db.execute("UPDATE run SET configuration = ?", [json.dumps(data)])
+    with Journal(tmp_path) as journal:
+        journal.configure({k: v for k, v in journal.configuration.items() if k != "kind"})
     with pytest.raises(CaterpillarError, match="contains an evolutionary run"):
         Training.read(tmp_path)

@@ -56,11 +56,11 @@ def test_robot_round_trips_exactly_through_its_file(individual, tmp_path):
 def test_failed_save_keeps_the_existing_file(individual, tmp_path, monkeypatch):
     individual.save(tmp_path / "best.json")
 
-    def stop_midway(path, text, **_):
-        path.write_bytes(text.encode()[:99])
+    def stop_midway(path, data):
+        path.write_text(data[:99].decode())
         raise OSError(errno.ENOSPC, "no space left")
 
-    monkeypatch.setattr(Path, "write_text", stop_midway)
+    monkeypatch.setattr(Path, "write_bytes", stop_midway)
     with pytest.raises(CaterpillarError, match=r"best\.json: no space left; choose another place"):
         replace(individual, fitness_m=1.0).save(tmp_path / "best.json")
     assert Robot.load(tmp_path).fitness_m == 0.0123

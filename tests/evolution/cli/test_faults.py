@@ -89,7 +89,7 @@ def test_a_full_disk_costs_only_what_was_not_written(run, elsewhere, monkeypatch
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_text", fill_disk)
+        patch.setattr(Path, "write_bytes", fill_disk)
         assert cli.main(FLAGS) == 1
     error = capsys.readouterr().err
     assert "cannot write run/best.json: No space left on device; free some space" in error
@@ -147,3 +147,30 @@ def test_one_changed_digit_of_the_configuration_is_told_by_every_command(run, el
     ):
         assert cli.main([command[0], "run", *command[1:]]) == 1
         assert "journal.sqlite is damaged: row 0 of the table run was altered" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "json", "mjcf"])
+def test_an_export_that_does_not_fit_keeps_the_file_before_it(run, elsewhere, monkeypatch, capsys, kind):
+    def fill_disk(path, data):
+        path.write_text(str(data[:9]))
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    (elsewhere / "table").write_text("before")
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", fill_disk)
+        assert cli.main(["export", str(run), "--to", kind, "--out", "table"]) == 1
+    assert "cannot write table: No space left on device" in capsys.readouterr().err
+    assert {path.name: path.read_text() for path in elsewhere.iterdir()} == {"table": "before"}
+
+
+def test_a_journal_that_cannot_be_created_advises_to_start_again(elsewhere, monkeypatch, capsys):
+    def fill_disk(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("evolution.run.journal.os.replace", fill_disk)
+        assert cli.main(FLAGS) == 1
+    error = capsys.readouterr().err
+    assert "No space left on device" in error
+    assert "Nothing was recorded; start the run again" in error
+    assert cli.main(FLAGS) == 0
