@@ -6,7 +6,8 @@
 
 All optimizers search waves with the priors of body and gait, and spend the same simulated time. Racing
 stops two thirds of each generation early. Ten seeds of one optimizer take about 20 minutes on two cores.
-The runs are kept in the folder: the same command continues, and prints the table of what is there.
+The file `runs.csv` of the folder holds the results of finished runs. The same command makes the missing
+runs, and prints a table of all.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ import argparse
 import queue
 import threading
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars
 
 from benchmarks.harness import report
 from caterpillar_env.arrays import Array
@@ -169,8 +171,8 @@ OTHERS: dict[str, Callable[[RunConfig], Optimizer]] = {
 NAMES = (*OURS, *OTHERS)
 
 
-def run(name: str, seed: int, out: Path) -> None:
-    """Make or continue a run."""
+def run(name: str, seed: int, out: Path) -> dict[str, Any]:
+    """Make or continue a run, and return its row of `runs.csv`."""
     config = replace(OURS.get(name, BASE), seed=seed)
     folder, optimizer = out / name / f"seed-{seed}", None
     if name in OTHERS:
@@ -179,28 +181,35 @@ def run(name: str, seed: int, out: Path) -> None:
         resume(folder, optimizer=optimizer, evaluator=LocalEvaluator(1))
     else:
         evolve(config, folder, optimizer=optimizer, evaluator=LocalEvaluator(1))
+    table = load(folder).table()
+    spent_s = table["simulated_s"].cum_sum().to_numpy()
+    complete = ((table["failure"] == "ok") & ~table["stopped"]).to_numpy()
+    far_m = np.maximum.accumulate(np.where(complete & (spent_s <= BUDGET_S), table["distance_m"], 0.0))
+    times = {name_of(t): next(iter(spent_s[far_m >= t]), np.inf) for t in THRESHOLDS_M}
+    return {"optimizer": name, "seed": seed, "best_mm": 1000 * far_m[-1], **times}
 
 
-def summarize(name: str, folders: list[Path]) -> dict[str, Any]:
-    """Return the row of an optimizer from its finished runs."""
-    best_m, times = [], []
-    for folder in folders:
-        table = load(folder).table()
-        spent_s = table["simulated_s"].cum_sum().to_numpy()
-        complete = ((table["failure"] == "ok") & ~table["stopped"]).to_numpy()
-        crawled = complete & (spent_s <= BUDGET_S)
-        far_m = np.maximum.accumulate(np.where(crawled, table["distance_m"], 0.0))
-        best_m.append(far_m[-1])
-        times.append([next(iter(spent_s[far_m >= t]), np.inf) for t in THRESHOLDS_M])
-    row: dict[str, Any] = {"optimizer": name, "runs": len(folders)}
-    median = bootstrap(np.median, (1000 * np.array(best_m),))
-    row["median, mm"] = f"{median.value:.0f} ({median.low:.0f} to {median.high:.0f})"
-    row["range, mm"] = f"{1000 * min(best_m):.0f} to {1000 * max(best_m):.0f}"
-    for threshold_m, time_s in zip(THRESHOLDS_M, np.array(times).T, strict=True):
+def name_of(threshold_m: float) -> str:
+    """Return the column of the time to a threshold, s; infinite if it was not reached."""
+    return f"s_to_{1000 * threshold_m:.0f}_mm"
+
+
+def summarize(rows: polars.DataFrame) -> dict[str, Any]:
+    """Return the summary of an optimizer from the rows of its runs."""
+    best_mm = rows["best_mm"].to_numpy()
+    median = bootstrap(np.median, (best_mm,))
+    summary: dict[str, Any] = {
+        "optimizer": rows["optimizer"][0],
+        "runs": len(rows),
+        "median, mm": f"{median.value:.0f} ({median.low:.0f} to {median.high:.0f})",
+        "range, mm": f"{best_mm.min():.0f} to {best_mm.max():.0f}",
+    }
+    for threshold_m in THRESHOLDS_M:
+        time_s = rows[name_of(threshold_m)].to_numpy()
         reached = np.isfinite(time_s)
         ert = expected_running_time(np.minimum(time_s, BUDGET_S), reached)
-        row[f"ERT to {1000 * threshold_m:.0f} mm, s"] = f"{ert:,.0f} ({reached.sum()} reached)"
-    return row
+        summary[f"ERT to {1000 * threshold_m:.0f} mm, s"] = f"{ert:,.0f} ({reached.sum()} reached)"
+    return summary
 
 
 def main() -> None:
@@ -210,19 +219,20 @@ def main() -> None:
     parser.add_argument("--seeds", default="0,1,2,3,4,5,6,7,8,9")
     parser.add_argument("--out", type=Path, default=Path("runs/optimizers"))
     args = parser.parse_args()
-    seeds = [int(seed) for seed in args.seeds.split(",")]
+    args.out.mkdir(parents=True, exist_ok=True)
+    file = args.out / "runs.csv"
+    rows = polars.read_csv(file).rows(named=True) if file.exists() else []
+    known = {(row["optimizer"], row["seed"]) for row in rows}
+    # Seed by seed, so that an early end leaves as many runs of each optimizer.
+    wanted = [(name, int(seed)) for seed in args.seeds.split(",") for name in args.names]
     with ProcessPoolExecutor(cores(), get_context("spawn"), max_tasks_per_child=1) as pool:
-        # Seed by seed, so that an early end leaves as many runs of each optimizer.
-        started = [pool.submit(run, name, seed, args.out) for seed in seeds for name in args.names]
-        for future in started:
-            future.result()
-    rows = []
-    for name in NAMES:
-        folders = [f.parent for f in sorted(args.out.glob(f"{name}/*/best.json"))]
-        folders = [f for f in folders if load(f).finished]
-        if folders:
-            rows.append(summarize(name, folders))
-    report("optimizers", rows)
+        made = [pool.submit(run, *cell, args.out) for cell in wanted if cell not in known]
+        for finished in as_completed(made):
+            rows.append(finished.result())
+            polars.DataFrame(rows).sort("optimizer", "seed").write_csv(file)
+    table = polars.DataFrame(rows)
+    parts = [table.filter(optimizer=name) for name in NAMES]
+    report("optimizers", [summarize(part) for part in parts if len(part)])
 
 
 if __name__ == "__main__":
