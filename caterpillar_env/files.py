@@ -61,6 +61,11 @@ def unused(parent: Path, name: str) -> Path:
     return folder
 
 
+def name_of(path: Path) -> str:
+    """Return the name of a file or folder for display. Bytes that are not UTF-8 are replaced."""
+    return os.fsencode(path.resolve().name).decode(errors="replace")
+
+
 def write_bytes(path: Path, data: bytes, advice: str = _ELSEWHERE) -> None:
     """Write a file atomically. Pipes and devices are written directly.
 

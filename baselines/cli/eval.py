@@ -21,7 +21,11 @@ from evolution.cli.running import film
 
 @dataclass(frozen=True)
 class EvalArgs:
-    """Evaluate a trained policy, optionally under different conditions."""
+    """Evaluate a trained policy, optionally under different conditions.
+
+    Only evaluate training runs that you trust: the files of a policy (.zip, .pkl) can run any code when
+    they are loaded.
+    """
 
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of the training run."""

@@ -30,6 +30,8 @@ Commands = Mapping[str, Callable[[], Command]]  #: functions that load the comma
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `caterpillar` and return its exit status (see `dispatch`)."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="surrogateescape")  # for names of files that are not UTF-8
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["--version"]:
         print(version("caterpillar-sma"))

@@ -14,6 +14,7 @@ import tyro
 from caterpillar_env.drawing.rendering import RenderingError
 from caterpillar_env.drawing.video import Recording, VideoConfig, check_path, write_video
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.files import name_of
 from caterpillar_env.robot import Robot
 from caterpillar_env.task import Failure
 from evolution import cli
@@ -99,8 +100,8 @@ def _load_robots(args: ReplayArgs) -> list[tuple[str, Robot]]:
 def _title(path: Path) -> str:
     """Return the name of a run folder, also for its best.json, or the stem of any other file."""
     if path.is_dir():
-        return path.resolve().name
-    return path.resolve().parent.name if path.name == "best.json" else path.stem
+        return name_of(path)
+    return name_of(path.resolve().parent) if path.name == "best.json" else name_of(path.with_suffix(""))
 
 
 def _compare(recording: Recording, timestep_s: float | None) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def convergence(generations: Sequence[Generation], title: str) -> Figure:
         numbers, [1000 * g.mean_m for g in generations], marker=".", label="mean of the generation"
     )
     upper.set(ylabel="distance in 30 s (mm)", ylim=(0, None))
-    upper.set_title(title, loc="left", fontsize="medium")
+    upper.set_title(title, loc="left", fontsize="medium", parse_math=False)
     upper.legend(loc="upper left")
     upper.grid(alpha=0.3)
     bottom = np.zeros(len(generations))

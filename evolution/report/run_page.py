@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from caterpillar_env.drawing.video import is_video_of
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.files import name_of
 from caterpillar_env.task import EPISODE_S, Failure
 from caterpillar_env.validation.gaits import measure_gait
 from evolution.config import RunConfig
@@ -52,7 +53,7 @@ def write(history: History) -> Path:
     folder, generations, best = history.folder, history.generations, history.best_robot
     drawings: dict[str, Figure] = {}
     if generations:
-        title = f"{folder.resolve().name}: {generations[-1].evaluations} evaluations"
+        title = f"{name_of(folder)}: {generations[-1].evaluations} evaluations"
         drawings["convergence"] = draw.convergence(generations, title)
     if best is not None:
         drawings["gait"] = draw.gait(best)
@@ -81,11 +82,11 @@ def page(history: History, figures: Mapping[str, str]) -> str:
     evaluations, sessions, own = history.evaluations, history.sessions, history.own_optimizer
     reasons = Counter(e.failure.label for e in evaluations)
     per_session = Counter(e.session for e in evaluations)
-    commands = next_commands(history, shlex.quote(history.folder.resolve().name))
+    commands = next_commands(history, shlex.quote(name_of(history.folder)))
     return render(
         "run.html",
         {"mm": lambda m: f"{1000 * m:,.1f}", "duration": lambda s: str(timedelta(seconds=s))},
-        name=history.folder.resolve().name,
+        name=name_of(history.folder),
         commands=commands,
         width=max((len(command) for command, _ in commands), default=0),
         config=config,

@@ -12,6 +12,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from caterpillar_env.files import name_of
 from evolution.report.page import data_url, render
 from evolution.study import statistics
 from evolution.study.analysis import Analysis, arrivals, format_estimate, format_p, summarize
@@ -137,7 +138,7 @@ def write(
     }
     page = folder / "report.html"
     text = render(
-        "study.html", filters, name=folder.resolve().name, analysis=analysis, config=analysis.config,
+        "study.html", filters, name=name_of(folder), analysis=analysis, config=analysis.config,
         winners=winners, compared=compared, sentences=summarize(analysis), figures=figures,
         version=version("caterpillar-sma"),
     )  # fmt: skip

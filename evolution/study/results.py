@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -13,13 +12,14 @@ import polars
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.files import write_json
+from caterpillar_env.errors import CaterpillarError, show, to_number
+from caterpillar_env.files import read, write_json
 from evolution.run.database import JournalError
 from evolution.run.history import History
 from evolution.study.config import Cell, StudyConfig
 
 DATA = "evaluations.parquet"  #: name of the file with all evaluations of a study
+_KEEP = "restore a copy of it, or remove it if the folders of all runs are there"
 _OUTCOME = ("evaluation", "generation", "failure", "stopped", "distance_m", "energy_j", "simulated_s")
 
 
@@ -51,7 +51,15 @@ def read_finished(config: StudyConfig, cell: Cell, study: Path) -> History | Non
 def read_kept(folder: Path) -> dict[Cell, polars.DataFrame]:
     """Read the evaluations of the runs that an earlier `collect` wrote into the file `DATA`."""
     file = folder / DATA
-    return dict(_split(polars.read_parquet(file))) if file.exists() else {}
+    if not file.is_file():
+        return {}
+    try:
+        table = polars.read_parquet(file)
+        if missing := {"arm", "seed", *_OUTCOME} - {"stopped"} - set(table.columns):
+            raise CaterpillarError(f"{file} has no columns {', '.join(sorted(missing))}; {_KEEP}")
+        return dict(_split(table))
+    except (OSError, polars.exceptions.PolarsError) as error:
+        raise CaterpillarError(f"cannot read {file}: {error}; {_KEEP}") from None
 
 
 def collect(config: StudyConfig, folder: Path) -> Results:
@@ -147,6 +155,15 @@ def read_runs(
     return runs
 
 
+def _check_thresholds(data: Any) -> list[float]:
+    """Return the thresholds (m) in the content of thresholds.json."""
+    values = data.get("thresholds_m") if isinstance(data, dict) else None
+    numbers = [to_number(value) or 0.0 for value in values] if isinstance(values, list) else []
+    if min(numbers, default=0.0) <= 0:
+        raise CaterpillarError(f"thresholds_m = {show(values)} must be a list of positive numbers")
+    return numbers
+
+
 def read_thresholds(config: StudyConfig, folder: Path, table: polars.DataFrame) -> list[float] | None:
     """Return the threshold distances (m). Those from pilot runs are written into a file once.
 
@@ -157,8 +174,7 @@ def read_thresholds(config: StudyConfig, folder: Path, table: polars.DataFrame) 
         return list(config.thresholds_m)
     file = folder / "thresholds.json"
     if file.exists():
-        kept: list[float] = json.loads(file.read_text(encoding="utf-8"))["thresholds_m"]
-        return kept
+        return read(file, _check_thresholds, "remove it, and it is made again")
     runs = read_runs(table, config, config.pilot_seeds)[config.reference]
     if len(runs) < len(config.pilot_seeds):
         return None

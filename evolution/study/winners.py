@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from caterpillar_env.files import write_json
+from caterpillar_env.errors import CaterpillarError, to_number
+from caterpillar_env.files import read, write_json
 from caterpillar_env.robot import AnyRobot, Robot, simulate
 from caterpillar_env.task import Failure
 from caterpillar_env.validation.robots import stack_robots
@@ -19,6 +19,7 @@ from evolution.study.config import Cell
 from evolution.study.results import Run
 
 REFERENCE_TIMESTEP_S = 0.00025  #: timestep of the reference simulation, see docs/physics.md
+_AGAIN = "remove it, and it is made again"
 ARTEFACT_SHARE = 0.1  #: largest relative change of distance that is not an artefact
 
 
@@ -51,7 +52,7 @@ def find_winners(analysis: Analysis, folder: Path) -> list[Winner]:
     Robots are saved as `winners/ARM.json` in the study's folder, and results as `winners/winners.json`.
     """
     file = folder / "winners" / "winners.json"
-    known = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    known = read(file, _check_winners, _AGAIN) if file.exists() else {}
     for arm, runs in analysis.runs.items():
         best = max(runs, key=lambda run: run.best_m[-1])
         best_m = float(best.best_m[-1])
@@ -65,6 +66,41 @@ def find_winners(analysis: Analysis, folder: Path) -> list[Winner]:
             known[arm] = Winner(arm, best.seed, best_m, float(end.distance_m[0]), failure)._asdict()
             write_json(file, known)
     return [Winner(**known[arm]) for arm in analysis.runs if arm in known]
+
+
+def _check_winners(data: Any) -> dict[str, dict[str, Any]]:
+    """Check the content of winners.json, and return it."""
+    fields = set(Winner._fields)
+    if not isinstance(data, dict) or not all(
+        isinstance(row, dict) and set(row) == fields and _are_numbers(row, "recorded_m", "reference_m")
+        for row in data.values()
+    ):
+        raise CaterpillarError(f"it must hold {', '.join(Winner._fields)} for each arm; {_AGAIN}")
+    return data
+
+
+def _check_rows(data: Any) -> list[dict[str, Any]]:
+    """Check the content of all.json, and return it."""
+    try:
+        valid = all(
+            _are_numbers(row, "seed", "recorded_m")
+            and isinstance(row["arm"], str)
+            and all(
+                _are_numbers(row["references"][name], "distance_m")
+                and isinstance(row["references"][name]["failure"], str)
+                for name in REFERENCES
+            )
+            for row in data
+        )
+    except (TypeError, LookupError):
+        valid = False
+    if not valid or not isinstance(data, list):
+        raise CaterpillarError(f"it must hold a list of robots with their references; {_AGAIN}")
+    return data
+
+
+def _are_numbers(row: Any, *names: str) -> bool:
+    return all(to_number(row[name]) is not None for name in names)
 
 
 class Comparison(NamedTuple):
@@ -85,7 +121,7 @@ def compare_winners(analysis: Analysis, folder: Path) -> list[Comparison]:
     earlier call simulated are not simulated again. Policies are left out.
     """
     file = folder / "winners" / "all.json"
-    known = json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
+    known = read(file, _check_rows, _AGAIN) if file.exists() else []
     rows = {(row["arm"], row["seed"], row["recorded_m"]): row for row in known}
     found = []
     for arm, runs in analysis.runs.items():

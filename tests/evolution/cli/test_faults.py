@@ -1,6 +1,7 @@
 """Faults of the machine and damaged or hostile files: one clear line, or the right data."""
 
 import errno
+import html
 import json
 import os
 import shutil
@@ -10,8 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from caterpillar_env.files import name_of
 from evolution import cli
 from evolution.cli.running import Reporter
+from evolution.report import run_page
 from evolution.run.history import load
 from evolution.run.journal import FILE, Journal
 
@@ -32,7 +35,7 @@ def run(tmp_path_factory):
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("evolution.cli.running.write_results", lambda *_, **__: None)  # takes a second
+    monkeypatch.setattr(run_page, "write", lambda history: history.folder)  # takes a second
     return tmp_path
 
 
@@ -174,3 +177,15 @@ def test_a_journal_that_cannot_be_created_advises_to_start_again(elsewhere, monk
     assert "No space left on device" in error
     assert "Nothing was recorded; start the run again" in error
     assert cli.main(FLAGS) == 0
+
+
+@pytest.mark.parametrize(
+    "name", ["<script>x", "$x^$", "'; DROP TABLE run;--", os.fsdecode(b"\xff\xfe"), "{{1}}%s"]
+)
+def test_names_of_folders_are_text_and_nothing_else(run, tmp_path, name):
+    """Neither HTML, nor formulas, SQL or templates."""
+    folder = shutil.copytree(run, tmp_path / name)
+    text = run_page.write(load(folder)).read_text(encoding="utf-8")
+    assert "<script>x" not in text
+    assert html.escape(name_of(folder)) in text.replace("&#39;", "&#x27;")
+    assert cli.main(["runs", str(tmp_path)]) == 0
