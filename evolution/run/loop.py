@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, check_number
 from caterpillar_env.files import make_folder
 from evolution.config import RunConfig
 from evolution.optimizers.base import Optimizer
@@ -104,6 +104,8 @@ def resume(
                     f"{folder} was run with your own {what} ({name}); resume it in Python with "
                     f"evolution.resume(folder, {what}=...)"
                 )
+        if generations is not None:
+            generations = check_number("generations", generations, 1, whole=True)
         if generations is not None and generations < history.config.generations:
             raise CaterpillarError(
                 f"a run can only be made longer: it has {history.config.generations} generations, "

@@ -7,12 +7,20 @@ import tomllib
 import numpy as np
 import pytest
 
-from caterpillar_env import CaterpillarEnv, CaterpillarVectorEnv, Morphology, Physics, SmaSpring
+from caterpillar_env import (
+    CaterpillarEnv,
+    CaterpillarVectorEnv,
+    Morphology,
+    Physics,
+    SmaSpring,
+    physics,
+    sma,
+)
 from caterpillar_env.errors import CaterpillarError, check_number, from_mapping
 from caterpillar_env.files import parse_json, read
 from caterpillar_env.gait import GaitTimings, count_steps
 from caterpillar_env.randomization import Randomization
-from caterpillar_env.robot import Robot
+from caterpillar_env.robot import Robot, simulate
 from evolution.config import RunConfig
 from evolution.genome import Encoding
 from evolution.optimizers.cma_es import CmaConfig
@@ -20,6 +28,11 @@ from evolution.optimizers.ga import GaConfig
 from evolution.optimizers.shade import ShadeConfig
 from evolution.study.config import StudyConfig
 from evolution.viewer.session import nominal_robot
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log when a simulation diverges
 
 
 def nest(depth):
@@ -35,6 +48,7 @@ HOSTILE = {
     "long text": "x" * 100_000, "none": None, "list": [1], "ragged": [[1.0], [1.0, 2.0]],
     "table": {"a": 1}, "object": object(), "deep": nest(3000), "array": np.array([np.nan, 2.0]),
 }  # fmt: skip
+FROM_JSON = [value for key, value in HOSTILE.items() if key not in ("object", "array")]
 STUDY = {"arms": {"ga-uniform": {"prior": "uniform"}}, "seeds": [0], "pilot_seeds": [1], "budget_s": 60}
 
 
@@ -71,6 +85,15 @@ def test_settings(kind, name):
     for value in HOSTILE.values():
         attempt(from_mapping, kind, {name: value}, "it")
         attempt(RunConfig.from_dict, {name: value})
+
+
+def test_training_runs():
+    config = pytest.importorskip("baselines.config")
+    for name in config.TrainConfig.__dataclass_fields__:
+        for value in FROM_JSON:
+            attempt(config.TrainConfig.from_dict, {name: value})
+    for value in FROM_JSON:
+        attempt(config.TrainConfig.from_dict, value)
 
 
 @pytest.mark.parametrize("name", [*StudyConfig.__dataclass_fields__, "base"])
@@ -138,7 +161,6 @@ def places(data, path=()):
 
 
 ROBOT = nominal_robot().to_dict()
-FROM_JSON = [value for key, value in HOSTILE.items() if key not in ("object", "array")]
 
 
 @pytest.mark.parametrize("place", list(places(ROBOT)), ids=lambda p: ".".join(map(str, p)))
@@ -162,6 +184,23 @@ def test_genomes_and_gaits():
         attempt(lambda v: GaitTimings(5.0, v, v), value)
         attempt(lambda v: count_steps(v, 0.01, "it"), value)
         attempt(lambda v: nominal_robot().simulate(v, duration_s=0.1), value)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_outcomes_are_finite_at_the_bounds_of_the_physics(seed):
+    rng = np.random.default_rng(seed)
+    numbers = {
+        name: float(rng.choice(bounds))
+        for name, bounds in (*physics.BOUNDS.items(), *sma.BOUNDS.items())
+        if rng.random() < 0.5 and not name.endswith("_c")
+    }
+    spring = SmaSpring(**{name: value for name, value in numbers.items() if name in sma.BOUNDS})
+    fixed = {"num_segments", "mismatch_seed", "spring_strengths", "timestep_s", "solver_iterations"}
+    rest = {n: value for n, value in numbers.items() if n in physics.BOUNDS and n not in fixed}
+    gait = GaitTimings(1.0, np.array([[0.0, 0.5]]), np.array([[0.4, 0.9]]))
+    robot = Physics(num_segments=2, timestep_s=0.01, spring=spring, **rest)
+    outcomes = simulate([Morphology()], gait, robot, threads=1, duration_s=1.0)
+    assert np.isfinite(outcomes[1:]).all()
 
 
 def test_numbers_that_json_cannot_write_become_pythons():
