@@ -58,21 +58,24 @@ class Policy:
 
     @classmethod
     def load(cls, path: Path, config: TrainConfig) -> Policy:
-        """Load a policy from the .zip file that `save` wrote.
+        """Load a policy from the .zip file that `save` wrote. Both of its files can run any code.
 
         Raises:
             CaterpillarError: the file cannot be read.
         """
+        statistics, normalizer = _statistics(path), None
         try:
+            if not path.is_file():
+                raise OSError("there is no such file")
             model = ALGORITHMS[config.algorithm].load(path, device="cpu")
-        except (OSError, ValueError) as error:
-            raise CaterpillarError(f"cannot read the policy {path}: {error}") from None
-        statistics = _statistics(path)
-        if not statistics.exists():
-            return cls(model, None)
-        env = CaterpillarVecEnv(config.env_id, 1, **config.env_kwargs())
-        normalizer = VecNormalize.load(str(statistics), env)
-        normalizer.training = False
+            if statistics.is_file():
+                env = CaterpillarVecEnv(config.env_id, 1, **config.env_kwargs())
+                normalizer = VecNormalize.load(str(statistics), env)
+                normalizer.training = False
+        except Exception as error:  # damaged archives and pickles raise errors of many kinds
+            raise CaterpillarError(
+                f"cannot read the policy {path}: {type(error).__name__}: {error}"
+            ) from None
         return cls(model, normalizer)
 
     def save(self, path: Path) -> None:

@@ -189,6 +189,8 @@ def open_video(
 
 def is_video_of(path: Path, robot: AnyRobot) -> bool:
     """Return whether `write_video` wrote this file for this robot. The metadata contain its digest."""
+    if not path.is_file():  # ffmpeg would wait for a pipe
+        return False
     options = ["-loglevel", "quiet", "-i", str(path), "-f", "ffmetadata", "-"]
     read = [imageio_ffmpeg.get_ffmpeg_exe(), *options]
     metadata = subprocess.run(read, capture_output=True, text=True, check=False).stdout

@@ -1,5 +1,8 @@
 """Training runs of small robots: records, budgets and errors."""
 
+import os
+import zipfile
+
 import numpy as np
 import pytest
 
@@ -244,3 +247,17 @@ def test_evolutionary_run_is_no_training(trained, tmp_path):
         journal.configure({k: v for k, v in journal.configuration.items() if k != "kind"})
     with pytest.raises(CaterpillarError, match="contains an evolutionary run"):
         Training.read(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["missing", "text", "zip", "pipe"])
+def test_a_policy_that_cannot_be_read_is_told_in_one_line(tmp_path, kind):
+    path = tmp_path / "best.zip"
+    if kind == "text":
+        path.write_text("no policy")
+    elif kind == "zip":
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("data", "{")
+    elif kind == "pipe":
+        os.mkfifo(path)
+    with pytest.raises(CaterpillarError, match=r"cannot read the policy .*best\.zip"):
+        Policy.load(path, TrainConfig())

@@ -1,5 +1,6 @@
 """Videos show recorded robots at the same times. A failed video leaves no file."""
 
+import os
 from contextlib import closing, contextmanager
 from pathlib import Path
 
@@ -266,3 +267,8 @@ def test_machine_that_cannot_draw_leaves_nothing(recording, tmp_path, monkeypatc
         write_video([recording], tmp_path / "robot.mp4", QUICK)
     assert not caplog.records  # no writer was started
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_pipe_is_no_video(tmp_path):
+    os.mkfifo(tmp_path / "best.mp4")
+    assert not is_video_of(tmp_path / "best.mp4", make_robot())
