@@ -16,11 +16,13 @@ from caterpillar_env.errors import CaterpillarError
 T = TypeVar("T")
 
 
-_ELSEWHERE = "choose another place with --out"
+ELSEWHERE = "choose another place with --out"
+#: Advice for files whose place is fixed.
+COPY = "free some space, or copy the folder to a place that can be written"
 
 
 @contextmanager
-def writing(path: Path, advice: str = _ELSEWHERE) -> Iterator[None]:
+def writing(path: Path, advice: str = ELSEWHERE) -> Iterator[None]:
     """Turn errors from writing to `path` into a `CaterpillarError` with advice.
 
     Raises:
@@ -66,8 +68,8 @@ def name_of(path: Path) -> str:
     return os.fsencode(path.resolve().name).decode(errors="replace")
 
 
-def write_bytes(path: Path, data: bytes, advice: str = _ELSEWHERE) -> None:
-    """Write a file atomically. Pipes and devices are written directly.
+def write_bytes(path: Path, data: bytes, advice: str = ELSEWHERE) -> None:
+    """Write a file atomically.
 
     Raises:
         CaterpillarError: the file cannot be written, for example because the disk is full. An existing
@@ -76,9 +78,6 @@ def write_bytes(path: Path, data: bytes, advice: str = _ELSEWHERE) -> None:
     partial = path.with_name(f".{path.name}.partial")
     try:
         with writing(path, advice):
-            if path.exists() and not path.is_file():  # such as /dev/stdout
-                path.write_bytes(data)
-                return
             partial.write_bytes(data)
             os.replace(partial, path)
     finally:
@@ -86,7 +85,7 @@ def write_bytes(path: Path, data: bytes, advice: str = _ELSEWHERE) -> None:
             partial.unlink(missing_ok=True)
 
 
-def write_json(path: Path, data: Any, advice: str = _ELSEWHERE) -> None:
+def write_json(path: Path, data: Any, advice: str = ELSEWHERE) -> None:
     """Write a JSON file atomically, see `write_bytes`."""
     write_bytes(path, (json.dumps(data, indent=2) + "\n").encode(), advice)
 

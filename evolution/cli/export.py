@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from caterpillar_env.files import write_bytes
+from caterpillar_env.files import write_bytes, writing
 from caterpillar_env.model import model_xml
 from caterpillar_env.robot import Robot
 from evolution import cli
@@ -45,14 +45,19 @@ def export_command(argv: Sequence[str]) -> int:
         robot = Robot.load(args.source)
         file = args.source / "best.json" if args.source.is_dir() else args.source
         out = args.out or file.with_suffix(".xml")
-        write_bytes(out, model_xml(robot.morphology, robot.physics).encode())
+        data = model_xml(robot.morphology, robot.physics).encode()
         written = f"model of a robot with {robot.physics.num_segments} segments"
     else:
         table = History.read(args.source).table()
         out = args.out or args.source / f"evaluations.{kind}"
         content = io.BytesIO()  # because polars ignores or disguises that a disk is full
         getattr(table, f"write_{kind}")(content)
-        write_bytes(out, content.getvalue())
+        data = content.getvalue()
         written = f"{len(table)} evaluations"
+    if out.exists() and not out.is_file():  # such as /dev/stdout, which must not be replaced
+        with writing(out):
+            out.write_bytes(data)
+    else:
+        write_bytes(out, data)
     print(f"{written} written to {out}", file=sys.stderr)
     return 0

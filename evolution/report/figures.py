@@ -12,6 +12,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from caterpillar_env.files import COPY, write_bytes
 from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.robot import Robot
 from caterpillar_env.sma import settle
@@ -22,9 +23,15 @@ _DPI = 120
 _WIDTH_IN = 6.0  # readable on a phone
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure in the format that the suffix of the file name gives."""
-    figure.savefig(path, dpi=_DPI)
+def save(figure: Figure, path: Path, advice: str = COPY) -> None:
+    """Write a figure in the format that the suffix of the file name gives.
+
+    Raises:
+        CaterpillarError: the file cannot be written; the message ends with `advice`.
+    """
+    content = io.BytesIO()
+    figure.savefig(content, format=path.suffix.removeprefix(".") or None, dpi=_DPI)
+    write_bytes(path, content.getvalue(), advice)
 
 
 def inline_svg(figure: Figure, name: str) -> str:

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 from matplotlib.figure import Figure
 
 from caterpillar_env.drawing.video import is_video_of
-from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.files import name_of
+from caterpillar_env.files import COPY, name_of, write_bytes
 from caterpillar_env.task import EPISODE_S, Failure
 from caterpillar_env.validation.gaits import measure_gait
 from evolution.config import RunConfig
@@ -58,16 +57,10 @@ def write(history: History) -> Path:
     if best is not None:
         drawings["gait"] = draw.gait(best)
     path = folder / PAGE
-    try:
-        for name, figure in drawings.items():
-            draw.save(figure, folder / f"{name}.png")
-        svgs = {name: draw.inline_svg(figure, name) for name, figure in drawings.items()}
-        path.write_text(page(history, svgs), encoding="utf-8")
-    except OSError as error:
-        raise CaterpillarError(
-            f"cannot write into {folder}: {error.strerror}; free some space, or copy the run to a "
-            "folder that can be written"
-        ) from None
+    for name, figure in drawings.items():
+        draw.save(figure, folder / f"{name}.png")
+    svgs = {name: draw.inline_svg(figure, name) for name, figure in drawings.items()}
+    write_bytes(path, page(history, svgs).encode(), COPY)
     return path
 
 

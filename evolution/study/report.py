@@ -12,7 +12,8 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from caterpillar_env.files import name_of
+from caterpillar_env.files import COPY, name_of, write_bytes
+from evolution.report.figures import save
 from evolution.report.page import data_url, render
 from evolution.study import statistics
 from evolution.study.analysis import Analysis, arrivals, format_estimate, format_p, summarize
@@ -126,7 +127,7 @@ def write(
         for name, figure in drawn.items():
             if figure is not None:
                 path = folder / "figures" / f"{name}.png"
-                figure.savefig(path, dpi=110)
+                save(figure, path)
                 figures.append((name, _CAPTIONS[name], data_url("image/png", path.read_bytes())))
     filters = {
         "mm": lambda metres: f"{1000 * metres:.1f}",
@@ -142,5 +143,5 @@ def write(
         winners=winners, compared=compared, sentences=summarize(analysis), figures=figures,
         version=version("caterpillar-sma"),
     )  # fmt: skip
-    page.write_text(text, encoding="utf-8")
+    write_bytes(page, text.encode(), COPY)
     return page

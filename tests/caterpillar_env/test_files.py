@@ -76,12 +76,3 @@ def test_failed_write_keeps_the_file_and_removes_the_partial_one(tmp_path, monke
     with pytest.raises(CaterpillarError, match=r"cannot write .*x\.json: No space left on device; free"):
         write_json(tmp_path / "x.json", 2, "free some")
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"x.json": "1\n"}
-
-
-def test_pipes_are_written_and_not_replaced(tmp_path):
-    os.mkfifo(tmp_path / "pipe")
-    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
-    write_json(tmp_path / "pipe", 3)
-    assert os.read(reader, 9) == b"3\n"
-    os.close(reader)
-    assert (tmp_path / "pipe").is_fifo()

@@ -189,3 +189,23 @@ def test_names_of_folders_are_text_and_nothing_else(run, tmp_path, name):
     assert "<script>x" not in text
     assert html.escape(name_of(folder)) in text.replace("&#39;", "&#x27;")
     assert cli.main(["runs", str(tmp_path)]) == 0
+
+
+def test_an_export_to_a_pipe_does_not_replace_it(run, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    assert cli.main(["export", str(run), "--out", str(tmp_path / "pipe")]) == 0
+    assert os.read(reader, 10) == b"evaluation"
+    os.close(reader)
+    assert (tmp_path / "pipe").is_fifo()
+
+
+def test_pages_and_figures_replace_pipes(run, tmp_path):
+    """Writing to them would wait for a reader."""
+    folder = shutil.copytree(run, tmp_path / "run")
+    for name in ("report.html", "convergence.png"):
+        (folder / name).unlink()
+        os.mkfifo(folder / name)
+    run_page.write(load(folder))
+    assert (folder / "report.html").is_file()
+    assert (folder / "convergence.png").is_file()

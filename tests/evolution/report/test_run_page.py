@@ -290,7 +290,7 @@ def test_report_rewrites_the_page_of_a_run(folder, tmp_path, capsys):
             "contains neither a run (journal.sqlite) nor a study (study.json)",
         ),
         (lambda run: (run / FILE).write_bytes(b"no database"), "is damaged"),
-        (lambda run: (run / "report.html").mkdir(), "cannot write into"),
+        (lambda run: (run / "report.html").mkdir(), "report.html: Is a directory; free some space"),
     ],
     ids=["no journal", "damaged journal", "unwritable"],
 )
