@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import queue
+import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -27,6 +28,7 @@ import polars
 
 from benchmarks.harness import report
 from caterpillar_env.arrays import Array
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.machine import cores
 from evolution import GaConfig, LocalEvaluator, RunConfig, ShadeConfig, evolve, load, resume
 from evolution.optimizers.base import Optimizer
@@ -41,7 +43,7 @@ BASE = RunConfig(
     ga=GaConfig(population=30, hall_of_fame=2), shade=ShadeConfig(15),
 )  # fmt: skip
 _POPULATION = 30
-_EVALUATIONS = 550  #: about as many as fit into the budget, for optimizers that plan ahead
+_EVALUATIONS = 600  #: slightly more than fit into the budget, for optimizers that plan ahead
 _CREEP = 0.05  #: standard deviation of a creep mutation, as a share of the range
 _CREEP_RATE = 0.2  #: probability that a gene creeps
 
@@ -65,7 +67,12 @@ class Asked:
         """Return the genomes that the function wants to know, (P, n)."""
         if not self._thread.ident:
             self._thread.start()
-        return self._genomes.get(timeout=60)
+        while self._thread.is_alive():
+            try:
+                return self._genomes.get(timeout=1.0)
+            except queue.Empty:
+                continue
+        raise CaterpillarError("the optimizer ended before the budget was spent")
 
     def tell(self, genomes: Array, fitness: Array) -> None:
         """Return their costs to the function."""
@@ -228,6 +235,9 @@ def main() -> None:
     with ProcessPoolExecutor(cores(), get_context("spawn"), max_tasks_per_child=1) as pool:
         made = [pool.submit(run, *cell, args.out) for cell in wanted if cell not in known]
         for finished in as_completed(made):
+            if error := finished.exception():
+                print(f"a run failed: {error!r}", file=sys.stderr)
+                continue
             rows.append(finished.result())
             polars.DataFrame(rows).sort("optimizer", "seed").write_csv(file)
     table = polars.DataFrame(rows)

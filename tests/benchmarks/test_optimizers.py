@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks import optimizers
 from caterpillar_env import Physics
+from caterpillar_env.errors import CaterpillarError
 
 SMALL = replace(
     optimizers.BASE, physics=Physics(num_segments=2, timestep_s=0.01), budget_s=60.0, prior="body"
@@ -28,6 +29,9 @@ def test_a_function_that_minimizes_can_be_asked_and_told():
     asked.tell(genomes, np.array([3.0, 4.0]))
     assert asked.ask().shape == (1, 2)
     assert seen == [-3.0, -4.0]
+    asked.tell(genomes[:1], np.zeros(1))
+    with pytest.raises(CaterpillarError, match="the optimizer ended before the budget was spent"):
+        asked.ask()
 
 
 def test_creep_moves_some_genes_by_small_steps():
