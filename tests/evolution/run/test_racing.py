@@ -32,6 +32,12 @@ def raced():
     return race(GENOMES, CONFIG, distance, LocalEvaluator(1))
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A run of two generations, each a race."""
+    return evolve(CONFIG, tmp_path_factory.mktemp("whole"), evaluator=LocalEvaluator(2))
+
+
 def test_leaders_are_the_best_in_order_of_their_index():
     fitness = np.array([0.1, 0.5, 0.3, 0.5, -np.inf])
     assert leaders(fitness, 2).tolist() == [1, 3]
@@ -108,8 +114,7 @@ def test_progress_rises_to_one(raced):
     assert shares[-1] == pytest.approx(1.0)
 
 
-def test_run_is_the_same_for_any_number_of_threads_and_after_a_stop(tmp_path):
-    whole = evolve(CONFIG, tmp_path / "whole", evaluator=LocalEvaluator(2))
+def test_run_is_the_same_for_any_number_of_threads_and_after_a_stop(whole, tmp_path):
     evolve(replace(CONFIG, generations=1), tmp_path / "parts", evaluator=LocalEvaluator(1))
     parts = resume(tmp_path / "parts", generations=2, evaluator=LocalEvaluator(1))
     one, other = (history.table().drop("session") for history in (whole, parts))
@@ -118,7 +123,7 @@ def test_run_is_the_same_for_any_number_of_threads_and_after_a_stop(tmp_path):
         rows["stopped"].sum() for _, rows in whole.table().group_by("generation", maintain_order=True)
     ]
     assert whole.generations[0].stopped > 0
-    assert History.read(tmp_path / "whole").best.number == whole.best.number
+    assert History.read(whole.folder).best.number == whole.best.number
 
 
 class Cut(LocalEvaluator):
@@ -130,9 +135,8 @@ class Cut(LocalEvaluator):
         yield from super().map(encoding, jobs, on_progress)
 
 
-def test_interrupted_race_is_run_again(tmp_path):
+def test_interrupted_race_is_run_again(whole, tmp_path):
     cut = evolve(CONFIG, tmp_path / "cut", evaluator=Cut(1))
     assert not cut.evaluations
-    whole = evolve(CONFIG, tmp_path / "whole", evaluator=LocalEvaluator(1))
     again = resume(tmp_path / "cut", evaluator=LocalEvaluator(1))
     assert again.table().drop("session").equals(whole.table().drop("session"))

@@ -24,7 +24,6 @@ from evolution.run.journal import Journal
 from evolution.run.loop import evolve, resume
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
-ONE = LocalEvaluator(threads=1)
 ASKED = RunConfig(
     generations=5, prior="uniform", physics=SHORT,
     ga=GaConfig(population=4, hall_of_fame=1, mutation_rate=0.3), cma=CmaConfig(cma_population=4),
@@ -57,14 +56,14 @@ def recorded(folder):
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def whole(tmp_path_factory, invented):
     """Takes a kind of run; the first seed whose robots get farther in the middle."""
 
     @cache
     def run(kind):
         for seed in range(1, 20):
             folder, config = tmp_path_factory.mktemp("whole"), replace(ASKED, seed=seed, **KINDS[kind])
-            found = Whole(folder, config, evolve(config, folder, evaluator=ONE).generations)
+            found = Whole(folder, config, evolve(config, folder, evaluator=invented).generations)
             if found.targeted is not None and found.generations[0].farthest_m > 0:
                 return found
         raise AssertionError("no robot gets farther after the first generation")
@@ -73,9 +72,9 @@ def whole(tmp_path_factory):
 
 
 @every_kind
-def test_a_run_ends_with_the_first_generation_that_reaches_its_target(whole, tmp_path, kind):
+def test_a_run_ends_with_the_first_generation_that_reaches_its_target(whole, tmp_path, kind, invented):
     found = whole(kind)
-    result = evolve(found.targeted, tmp_path, evaluator=LocalEvaluator(2))
+    result = evolve(found.targeted, tmp_path, evaluator=invented)
     assert result.finished
     assert [g.number for g in result.generations] == [*range(found.number + 1)]
     assert recorded(tmp_path).equals(found.until_target)
@@ -85,40 +84,44 @@ def test_a_run_ends_with_the_first_generation_that_reaches_its_target(whole, tmp
     assert f"was reached in generation {found.number}, " in ended
 
 
-def test_a_target_just_out_of_reach_changes_nothing_but_what_is_said(whole, tmp_path):
+def test_a_target_just_out_of_reach_changes_nothing_but_what_is_said(whole, tmp_path, invented):
     found = whole("ga")
     farthest_m = found.generations[-1].farthest_m
     config = replace(found.config, target_m=float(np.nextafter(farthest_m, 1.0)))
-    assert evolve(config, tmp_path, evaluator=ONE).finished
+    assert evolve(config, tmp_path, evaluator=invented).finished
     assert recorded(tmp_path).equals(recorded(found.folder))
     ended = config.ending(5, 0.0, farthest_m)
     assert re.fullmatch(r"all \d+ generations are complete; the target of \S+ mm was not reached", ended)
 
 
 @every_kind
-def test_a_run_that_is_resumed_before_its_target_ends_where_it_would_have(whole, tmp_path, kind):
+def test_a_run_that_is_resumed_before_its_target_ends_where_it_would_have(
+    whole, tmp_path, kind, invented
+):
     found = whole(kind)
 
     def stop(generation):
         if generation.number == found.number - 1:
             raise KeyboardInterrupt
 
-    assert not evolve(found.targeted, tmp_path, evaluator=ONE, on_generation=stop).finished
-    again = resume(tmp_path, evaluator=ONE)
+    assert not evolve(found.targeted, tmp_path, evaluator=invented, on_generation=stop).finished
+    again = resume(tmp_path, evaluator=invented)
     assert again.finished
     assert [g.replayed for g in again.generations] == [True] * found.number + [False]
     assert recorded(tmp_path).equals(found.until_target)
 
 
 @pytest.mark.parametrize("kind", ["ga", "cma-es"])
-def test_a_generation_in_which_the_target_is_reached_is_completed(whole, tmp_path, monkeypatch, kind):
+def test_a_generation_in_which_the_target_is_reached_is_completed(
+    whole, tmp_path, monkeypatch, kind, invented
+):
     """The run stops after every genome, also after the one that reaches the target."""
     monkeypatch.setattr("evolution.run.evaluators.CHUNK", 1)
     found = whole(kind)
 
     class Stops(LocalEvaluator):
         def map(self, encoding, jobs, on_progress=None):
-            yield from super().map(encoding, jobs[:1], on_progress)
+            yield from invented.map(encoding, jobs[:1])
             if len(jobs) > 1:
                 raise KeyboardInterrupt
 
@@ -133,17 +136,17 @@ def test_a_generation_in_which_the_target_is_reached_is_completed(whole, tmp_pat
 
 
 @pytest.fixture(scope="module")
-def reached(whole, tmp_path_factory):
+def reached(whole, tmp_path_factory, invented):
     """A run whose first generation reaches the target."""
     folder, found = tmp_path_factory.mktemp("reached"), whole("ga")
     config = replace(found.config, target_m=found.generations[0].farthest_m)
-    assert len(evolve(config, folder, evaluator=ONE).generations) == 1
+    assert len(evolve(config, folder, evaluator=invented).generations) == 1
     return folder
 
 
 @pytest.mark.parametrize("noted", [True, False], ids=["noted", "killed before that was noted"])
 @pytest.mark.parametrize("generations", [None, 9])
-def test_a_run_at_its_target_evaluates_nothing_more(reached, tmp_path, generations, noted):
+def test_a_run_at_its_target_evaluates_nothing_more(reached, tmp_path, generations, noted, invented):
     folder = tmp_path / "run"
     shutil.copytree(reached, folder)
     best = (folder / "best.json").read_bytes()
@@ -151,7 +154,7 @@ def test_a_run_at_its_target_evaluates_nothing_more(reached, tmp_path, generatio
         with Journal(folder) as journal:
             journal.begin()  # a session without an end
         (folder / "best.json").unlink()
-    again = resume(folder, generations=generations, evaluator=ONE)
+    again = resume(folder, generations=generations, evaluator=invented)
     assert again.finished
     assert [g.replayed for g in again.generations] == [True]
     assert load(folder).table().equals(load(reached).table())
@@ -186,9 +189,9 @@ def test_evolve_and_the_page_say_why_a_run_ended(tmp_path, capsys):
     assert "<tr><td>target_m<td>1e-06<td>null</tr>" in page
 
 
-def test_a_run_that_missed_its_target_says_so_and_can_go_on(tmp_path, whole):
+def test_a_run_that_missed_its_target_says_so_and_can_go_on(tmp_path, whole, invented):
     config = replace(whole("ga").config, generations=1, target_m=9.0)
-    evolve(config, tmp_path / "run", evaluator=ONE)
+    evolve(config, tmp_path / "run", evaluator=invented)
     page = run_page.page(load(tmp_path / "run"), {})
     assert "generations are complete; the target of 9000 mm was not reached" in page
     assert "caterpillar resume run --generations 2" in page
