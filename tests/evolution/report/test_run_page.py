@@ -51,11 +51,6 @@ class Fixed:
         pass
 
 
-def ran(folder, config=SHORT, **kwargs):
-    evolve(config, folder, evaluator=LocalEvaluator(1), **kwargs)
-    return read_page(folder)
-
-
 def read_page(folder):
     """Render the page without its figures, which are slow."""
     return run_page.page(load(folder), {})
@@ -74,6 +69,29 @@ def folder(tmp_path_factory):
     evolve(CONFIG, folder, evaluator=LocalEvaluator(1))
     run_page.write(load(folder))
     return folder
+
+
+@pytest.fixture(scope="module")
+def gait(folder):
+    """The gait of the best robot of that run."""
+    return run_page.measure_gait(load(folder).best_robot)
+
+
+@pytest.fixture
+def measured_once(gait, monkeypatch):
+    """That gait stands for those of all robots, as measuring takes time."""
+    monkeypatch.setattr(run_page, "measure_gait", lambda robot: gait)
+
+
+@pytest.fixture
+def ran(invented, measured_once, tmp_path):
+    """Takes a configuration and runs it in the folder `run`, with invented outcomes; its page."""
+
+    def run(config=SHORT, **kwargs):
+        evolve(config, tmp_path / "run", evaluator=invented, **kwargs)
+        return read_page(tmp_path / "run")
+
+    return run
 
 
 @pytest.fixture
@@ -151,7 +169,7 @@ def test_versions_and_machine_of_each_session_are_shown(folder, page):
     assert f"<td>0:00:{session.wall_s:02.0f}<td>" in page
 
 
-def test_video_is_embedded_if_it_shows_the_best_robot(folder, monkeypatch):
+def test_video_is_embedded_if_it_shows_the_best_robot(folder, measured_once, monkeypatch):
     film = folder / "best.mp4"
     monkeypatch.setattr(run_page, "is_video_of", lambda path, robot: path.read_bytes()[:2] == b"it")
     assert "no video of this robot" in read_page(folder)
@@ -180,8 +198,8 @@ def test_video_is_embedded_if_it_shows_the_best_robot(folder, monkeypatch):
     ],
     ids=["cma-es", "random", "full", "per-segment", "mutation-only", "energy", "budget"],
 )
-def test_runs_of_every_kind_have_a_page(config, text, tmp_path):
-    page = ran(tmp_path / "run", config)
+def test_runs_of_every_kind_have_a_page(config, text, ran, tmp_path):
+    page = ran(config)
     assert text in page
     assert number(page, "best-m") == Robot.load(tmp_path / "run").fitness_m
     assert page.count('<svg class="bar"') == len(config.encoding.genes)
@@ -198,21 +216,22 @@ def test_genes_show_the_prior_that_the_run_uses(folder, prior, peaks):
     assert all((row.peak is None) == (row.width is None) for row in rows)
 
 
-def test_page_names_a_custom_optimizer(tmp_path):
-    page = ran(tmp_path / "run", optimizer=Fixed())
+def test_page_names_a_custom_optimizer(ran):
+    page = ran(optimizer=Fixed())
     assert "the user's own optimizer Fixed, " in unescape(page)
     assert "caterpillar resume" not in page
     assert "may not use the prior" in page
 
 
-def test_page_does_not_resume_a_run_with_the_users_own_objective(tmp_path):
-    page = ran(tmp_path / "run", objective=lambda outcomes: -outcomes.energy_j)
+def test_page_does_not_resume_a_run_with_the_users_own_objective(ran):
+    page = ran(objective=lambda outcomes: -outcomes.energy_j)
     assert "caterpillar replay run" in page
     assert "caterpillar resume" not in page
 
 
 def test_page_of_a_run_without_a_best_robot_lists_the_failures(tmp_path):
-    page = ran(tmp_path / "run", replace(SHORT, physics=BREAKS))
+    evolve(replace(SHORT, physics=BREAKS), tmp_path / "run", evaluator=LocalEvaluator(1))
+    page = read_page(tmp_path / "run")
     assert "no robot crawled forwards without failing" in page
     assert "<tr><td>diverged<td>3<td>100.0 %</tr>" in page
     assert "There is no robot to film." in page
@@ -229,8 +248,8 @@ def stop_after(count):
     return stop
 
 
-def test_page_of_a_stopped_run_shows_how_to_resume(tmp_path):
-    page = ran(tmp_path / "run", CONFIG, on_generation=stop_after(1))
+def test_page_of_a_stopped_run_shows_how_to_resume(ran, tmp_path):
+    page = ran(CONFIG, on_generation=stop_after(1))
     assert "Not finished: " in page
     assert "caterpillar resume run " in page
     assert "<small>1 generations</small>" not in page
@@ -240,9 +259,9 @@ def test_page_of_a_stopped_run_shows_how_to_resume(tmp_path):
     assert number(page, "best-m") == Robot.load(tmp_path / "run").fitness_m
 
 
-def test_incomplete_generation_is_excluded_from_the_figures(tmp_path):
+def test_incomplete_generation_is_excluded_from_the_figures(tmp_path, invented, measured_once):
     """The incomplete generation contains the best robot."""
-    evolve(CONFIG, tmp_path, evaluator=LocalEvaluator(1), on_generation=stop_after(2))
+    evolve(CONFIG, tmp_path, evaluator=invented, on_generation=stop_after(2))
     with Journal(tmp_path) as journal:
         first = next(journal.evaluations())
         journal.append([first._replace(number=5 + i, generation=2, distance_m=1.0) for i in range(50)])
