@@ -30,7 +30,8 @@ def here(tmp_path, monkeypatch):
 def still(here):
     """A robot that is never powered, with a made-up record."""
     timings = GaitTimings(RunConfig().gait_period_s, np.zeros(2), np.zeros(2))
-    robot = Robot(Morphology(), timings, Physics(num_segments=2), fitness_m=0.02)
+    physics = Physics(num_segments=2, timestep_s=0.01)
+    robot = Robot(Morphology(), timings, physics, fitness_m=0.02)
     robot.save(here / "still.json")
     return robot
 

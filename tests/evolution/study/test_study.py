@@ -79,8 +79,9 @@ def test_an_interrupted_study_is_resumed_with_the_same_result(finished, tmp_path
     assert ours.equals(theirs)
 
 
-def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(finished, tmp_path):
-    config = StudyConfig.from_dict(changed(seeds=[0], arms={"ga-uniform": {"prior": "uniform"}}))
+def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(tmp_path):
+    arms = {"ga-uniform": {"prior": "uniform"}}
+    config = StudyConfig.from_dict(changed(seeds=[0], budget_s=90, arms=arms))
     begin(config, tmp_path)
     broken = Cell("ga-uniform", 8).folder(tmp_path)
     broken.mkdir(parents=True)
