@@ -32,7 +32,7 @@ def check_momentum(*, quick: bool) -> list[Check]:
     The default integrator is of first order in joint coordinates and only approximately conserves
     momentum.
     """
-    count, duration_s = (6, 10.0) if quick else (12, EPISODE_S)
+    count, duration_s = (4, 10.0) if quick else (12, EPISODE_S)
     drifts = [
         drift_m(replace(Physics(), timestep_s=timestep_s), count, duration_s)
         for timestep_s in _TIMESTEPS_S

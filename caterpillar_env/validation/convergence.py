@@ -77,13 +77,13 @@ def compare(*, quick: bool) -> Comparison:
     physics, duration_s = Physics(), 10.0 if quick else EPISODE_S
     fine = replace(physics, timestep_s=0.001 if quick else 0.00025)
     exact = replace(fine, integrator="rk4", timestep_s=0.0005 if quick else 0.00025)
-    robots = random_robots(32 if quick else 100, 3, physics)
-    evolved = farthest_robots(8) if quick else evolved_robots()
+    robots = random_robots(24 if quick else 100, 3, physics)
+    evolved = farthest_robots(6) if quick else evolved_robots()
     random_pair, evolved_pair = (
         Pair(*(simulate(*stack_robots(group), p, duration_s=duration_s) for p in (physics, fine)))
         for group in (robots, evolved)
     )
-    few = evolved[: 4 if quick else INDEPENDENT]
+    few = evolved[: 3 if quick else INDEPENDENT]
     independent = simulate(*stack_robots(few), exact, duration_s=duration_s)
     nudged = crawl_for(duration_s, *stack_power(evolved[:SPREAD]), fine, offset_m=1e-6).progress()
     return Comparison(

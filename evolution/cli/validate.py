@@ -62,7 +62,7 @@ def validate_command(argv: Sequence[str]) -> int:
     with writing(args.out):
         args.out.mkdir(parents=True, exist_ok=True)
     console = cli.console()
-    robots = evolved_robots(8 if args.quick else None)
+    robots = evolved_robots(5 if args.quick else None)
     results: dict[str, list[Check]] = {}
     for name, make_checks in groups(robots, quick=args.quick).items():
         console.print(f"{name} ...")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from caterpillar_env.robot import Outcomes
-from caterpillar_env.validation import convergence, gaits, golden
+from caterpillar_env.validation import convergence, gaits, golden, material
 from caterpillar_env.validation.check import check_at_most, check_equal
 from evolution import cli
 from evolution.cli import validate
@@ -27,7 +27,7 @@ def test_quick_validation_passes_and_writes_plots(tmp_path, capsys):
 
 
 def canned(monkeypatch, *, weight_n, golden_passes):
-    """Leave out the simulations, keep everything around them."""
+    """Leave out the simulations and the plots, keep everything around them."""
     nothing = np.zeros(4)
     outcomes = Outcomes(nothing.astype(np.int8), np.array([0.1, 0.2, 0.3, 0.4]), nothing, nothing)
     result = convergence.Comparison(*[convergence.Pair(outcomes, outcomes)] * 4)
@@ -38,6 +38,8 @@ def canned(monkeypatch, *, weight_n, golden_passes):
     }
     gait = gaits.Gait(0.1, 0.2, 0.1, 0.5, 0.0, 0.0, 1000.0, 0.03)
     monkeypatch.setattr(gaits, "measure_gait", lambda robot, duration_s: gait)
+    monkeypatch.setattr(material, "plot", lambda path: None)
+    monkeypatch.setattr(convergence, "plot", lambda compared, path: None)
     monkeypatch.setattr(validate, "groups", lambda robots, *, quick: groups)
 
 
