@@ -73,6 +73,7 @@ def test_bandit_acts_once_per_episode_and_learns_from_as_many_episodes():
     bandit = hyperparameters(TrainConfig(mode="timing", open_loop=True))
     assert bandit.env_kwargs == {"action_repeat": 6}
     assert bandit.model["n_steps"] * 6 == closed.model["n_steps"]
+    assert bandit.model["batch_size"] == bandit.model["n_steps"] * bandit.n_envs == 8
     assert bandit.model["policy_kwargs"] == closed.model["policy_kwargs"]
     # The episode has a single step, so there is nothing to discount.
     assert bandit.model["gamma"] == bandit.normalize["gamma"] == 0

@@ -32,6 +32,6 @@ def test_ppo_updates_and_predicts():
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "steps"), [(IDS[0], 100), (IDS[1], 900)])
 def test_ppo_trains_for_many_episodes(name, steps):
-    env = gymnasium.make(name)
+    env = gymnasium.make(name, physics={"num_segments": 2, "timestep_s": 0.01})
     PPO("MlpPolicy", env, n_steps=100, batch_size=50, seed=0, device="cpu").learn(steps)
     env.close()

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def test_python_example_reproduces_the_evolved_robot(tmp_path, monkeypatch):
+def test_python_example_reproduces_the_evolved_robot(tmp_path, monkeypatch, coarse):
     monkeypatch.chdir(tmp_path)
     (example,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
     names = {}
