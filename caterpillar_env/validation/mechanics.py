@@ -142,7 +142,7 @@ def check_symmetries(*, quick: bool) -> list[Check]:
     Stick-slip and the limited solver tolerance amplify rounding errors. The tolerance of these checks is
     therefore the effect of moving the start of the same robots by a micrometre.
     """
-    count, duration_s = (10, 10.0) if quick else (20, EPISODE_S)
+    count, duration_s = (10, 5.0) if quick else (20, EPISODE_S)
     perfect, uneven = Physics(mismatch_std=0.0), Physics()
     swapped = uneven.strengths().reshape(-1, 2)[:, ::-1].ravel()  # left for right
     mirrored = replace(uneven, spring_strengths=tuple(swapped.tolist()))

@@ -40,6 +40,15 @@ def finished(studied):
     return studied(TOML)
 
 
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory):
+    """A study with a single seed, all of whose runs ended, and its folder."""
+    config, folder = StudyConfig.from_dict(changed(seeds=[0])), tmp_path_factory.mktemp("uninterrupted")
+    begin(config, folder)
+    assert run_study(config, folder, Processes(2)) == []
+    return config, folder
+
+
 # Running
 
 
@@ -62,8 +71,8 @@ def test_every_run_spends_its_budget_and_stops(finished):
 
 
 @pytest.mark.slow
-def test_an_interrupted_study_is_resumed_with_the_same_result(finished, tmp_path):
-    config = load(finished)
+def test_an_interrupted_study_is_resumed_with_the_same_result(uninterrupted, tmp_path):
+    config, finished = uninterrupted
     begin(config, tmp_path / "again")
     workers = Processes(2)
 
@@ -192,10 +201,9 @@ def test_runs_of_a_study_that_is_killed_end_with_it(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
-def test_cells_on_ray_give_the_same_bits(finished, tmp_path):
+def test_cells_on_ray_give_the_same_bits(uninterrupted, tmp_path):
     pytest.importorskip("ray")
-    arms = {"ga-uniform": SMALL["arms"]["ga-uniform"]}
-    config = StudyConfig.from_dict(changed(arms=arms, seeds=[0]))
+    config, finished = uninterrupted
     begin(config, tmp_path / "ray")
     assert run_study(config, tmp_path / "ray", RayTasks()) == []
     ours, theirs = collect(config, tmp_path / "ray"), collect(config, finished)
