@@ -150,7 +150,8 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
         for name in ("n_steps", "learning_starts"):  # keep the number of episodes
             if name in model:
                 model[name] = max(1, model[name] // _PERIODS_PER_EPISODE)
-        if "n_steps" in model:  # PPO warns of mini-batches that are larger than a rollout
+        if model.keys() >= {"n_steps", "batch_size"}:
+            # PPO warns of mini-batches that are larger than a rollout.
             model["batch_size"] = min(model["batch_size"], model["n_steps"] * n_envs)
         if "gamma" in model:
             model["gamma"] = 0.0  # an episode is a single step

@@ -445,7 +445,7 @@ KINDS = [
 
 
 @pytest.mark.parametrize("settings", KINDS, ids=lambda kind: "-".join(map(str, kind.values()))[:30])
-def test_interrupted_and_resumed_equals_uninterrupted(tmp_path, settings, invented):
+def test_interrupted_and_resumed_equals_uninterrupted(tmp_path, settings):
     config = RunConfig(
         seed=5, generations=4, physics=SHORT, ga=GaConfig(population=4, hall_of_fame=1), **settings
     )  # fmt: skip
@@ -454,9 +454,9 @@ def test_interrupted_and_resumed_equals_uninterrupted(tmp_path, settings, invent
         if summary.number == 1:
             raise KeyboardInterrupt
 
-    whole = evolve(config, tmp_path / "whole", evaluator=invented)
-    assert not evolve(config, tmp_path / "broken", evaluator=invented, on_generation=stop).finished
-    again = resume(tmp_path / "broken", evaluator=invented)
+    whole = evolve(config, tmp_path / "whole", evaluator=ONE)
+    assert not evolve(config, tmp_path / "broken", evaluator=ONE, on_generation=stop).finished
+    again = resume(tmp_path / "broken", evaluator=ONE)
     assert again.finished
     assert [g.replayed for g in again.generations] == [True, True, False, False]
     assert (
