@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from caterpillar_env.files import ELSEWHERE, writing
+from caterpillar_env.files import ELSEWHERE
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.physics import Physics
 from evolution import cli
@@ -78,8 +78,7 @@ def preprocess_command(argv: Sequence[str]) -> int:
     if "gait" in args.prior:
         drawings[args.out.with_stem(f"{args.out.stem}-gait")] = figures.gait_search(found)
     for path, figure in drawings.items():
-        with writing(path):
-            figures.save(figure, path, ELSEWHERE)
+        figures.save(figure, path, ELSEWHERE)
     print(f"plotted in {' and '.join(map(str, drawings))}", file=sys.stderr)
     return 0
 

@@ -12,7 +12,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from caterpillar_env.files import COPY, write_bytes
+from caterpillar_env.files import COPY, write_bytes, writing
 from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.robot import Robot
 from caterpillar_env.sma import settle
@@ -27,10 +27,12 @@ def save(figure: Figure, path: Path, advice: str = COPY) -> None:
     """Write a figure in the format that the suffix of the file name gives.
 
     Raises:
-        CaterpillarError: the file cannot be written; the message ends with `advice`.
+        CaterpillarError: the format is unknown, or the file cannot be written; the message ends with
+            `advice`.
     """
     content = io.BytesIO()
-    figure.savefig(content, format=path.suffix.removeprefix(".") or None, dpi=_DPI)
+    with writing(path, advice):
+        figure.savefig(content, format=path.suffix.removeprefix(".") or None, dpi=_DPI)
     write_bytes(path, content.getvalue(), advice)
 
 

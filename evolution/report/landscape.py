@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.task import Failure
 from evolution.genome import Gene
 from evolution.run.evaluators import OnProgress, evaluate
 from evolution.run.history import History
@@ -64,7 +65,7 @@ def sweep(
         np.array(history.best.genome)[[first, second]],
         shares,
         outcomes.fitness().reshape(points, points),
-        (outcomes.failure != 0).reshape(points, points).astype(float),
+        (outcomes.failure != Failure.NONE).reshape(points, points).astype(float),
     )
 
 
@@ -78,7 +79,10 @@ def draw(landscape: Landscape) -> Figure:
         gene.shown[0] * (gene.lower + landscape.shares * (gene.upper - gene.lower))
         for gene in landscape.genes
     )
-    titles = ("robots that differ from the best one in two genes", "sphere function, for comparison")
+    titles = (
+        "robots that differ from the best one in two genes (grey: failed)",
+        "sphere function, for comparison",
+    )
     units = ("distance in 30 s (mm)", "fitness")
     for axes, title, unit, values in zip(
         (left, right), titles, units, (1000 * landscape.distance_m, sphere), strict=True
@@ -92,5 +96,4 @@ def draw(landscape: Landscape) -> Figure:
         axes.set_title(title, loc="left", fontsize="medium")
     failed = np.ma.masked_equal(landscape.failed.T, 0.0)
     left.pcolormesh(x, y, failed, cmap=ListedColormap(["0.75"]))
-    left.set_title(titles[0] + " (grey: failed)", loc="left", fontsize="medium")
     return figure
