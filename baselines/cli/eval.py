@@ -13,6 +13,7 @@ import numpy as np
 import tyro
 
 from baselines.policy import Policy, RandomActor, TrainedRobot, make_env
+from caterpillar_env.drawing.video import Recording
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import Failure
 from evolution import cli
@@ -98,5 +99,6 @@ def eval_command(argv: Sequence[str]) -> int:
             low, median, high = 1000 * np.quantile(fitness, [0.25, 0.5, 0.75])
             print(f"median {median:.1f} mm, quartiles {low:.1f} to {high:.1f} (failures count as 0)")
     if args.video:
-        film(robots[0], args.folder / "eval.mp4", cli.console(), args.timestep_s)
+        recording = Recording(robots[0], timestep_s=args.timestep_s)
+        film(recording, args.folder / "eval.mp4", cli.console())
     return 0

@@ -9,6 +9,7 @@ from pathlib import Path
 from baselines.config import TrainConfig
 from baselines.policy import TrainedRobot
 from baselines.training import train
+from caterpillar_env.drawing.video import Recording
 from caterpillar_env.errors import CaterpillarError, check_number
 from caterpillar_env.files import unused
 from caterpillar_env.machine import MAX_THREADS
@@ -84,6 +85,6 @@ def train_command(argv: Sequence[str]) -> int:
         print(f"no policy crawled forwards without failing, in {folder}")
         return 0
     if args.video:
-        film(TrainedRobot.load(folder), folder / "best.mp4", console)
+        film(Recording(TrainedRobot.load(folder)), folder / "best.mp4", console)
     print(f"best: {1000 * history.best.distance_m:.1f} mm in 30 s, in {folder}")
     return 0

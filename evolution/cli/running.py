@@ -5,17 +5,19 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 
 from caterpillar_env.errors import CaterpillarError, check_number
 from caterpillar_env.machine import MAX_THREADS
-from caterpillar_env.robot import AnyRobot
 from evolution import cli
 from evolution.config import RunConfig
 from evolution.run.evaluators import Evaluator, LocalEvaluator, RayEvaluator
 from evolution.run.history import Generation, History
+
+if TYPE_CHECKING:
+    from caterpillar_env.drawing.video import Recording
 
 
 def check_address(address: str | None, evaluator: str) -> None:
@@ -105,13 +107,14 @@ def finish(history: History, console: Console, *, video: bool) -> int:
 
 def write_results(history: History, console: Console, *, video: bool) -> None:
     """Write the video and the page of a run, and print their paths and the next commands."""
-    from caterpillar_env.drawing.video import is_video_of
+    from caterpillar_env.drawing.video import Recording, is_video_of
     from evolution.report import run_page
 
     best, path = history.best_robot, history.folder / "best.mp4"
-    if best is not None and video and not (path.exists() and is_video_of(path, best)):
-        film(best, path, console)
-    page = run_page.write(history)
+    recording = None if best is None else Recording(best)
+    if recording is not None and video and not (path.exists() and is_video_of(path, recording.robot)):
+        film(recording, path, console)
+    page = run_page.write(history, recording)
     if best is None:
         none_failed = "no robot crawled forwards without failing"
         print(f"best: none, {none_failed if history.generations else 'no generation is complete'}")
@@ -132,12 +135,12 @@ def print_commands(history: History) -> None:
         print(f"next: {command}  # {purpose}")
 
 
-def film(robot: AnyRobot, path: Path, console: Console, timestep_s: float | None = None) -> None:
+def film(recording: Recording, path: Path, console: Console) -> None:
     """Write a video. If this fails, print the reason instead."""
-    from caterpillar_env.drawing.video import Recording, write_video
+    from caterpillar_env.drawing.video import write_video
 
     console.print(f"writing {path} ...")
     try:
-        write_video([Recording(robot, timestep_s=timestep_s)], path)
+        write_video([recording], path)
     except CaterpillarError as error:
         console.print(f"no video: {error}")

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from caterpillar_env.drawing.video import is_video_of
+from caterpillar_env.drawing.video import Recording, is_video_of
 from caterpillar_env.files import COPY, name_of, write_bytes
 from caterpillar_env.task import EPISODE_S, Failure
 from caterpillar_env.validation.gaits import measure_gait
@@ -21,6 +21,7 @@ from evolution.config import RunConfig
 from evolution.priors.distributions import Gaussian
 from evolution.report import figures as draw
 from evolution.report.page import data_url, render
+from evolution.report.replay import encode
 from evolution.run.history import History, to_outcomes
 
 PAGE = "report.html"
@@ -43,8 +44,12 @@ class GeneRow(NamedTuple):
         return 100.0 * min(max(share, 0.0), 1.0)
 
 
-def write(history: History) -> Path:
+def write(history: History, recording: Recording | None = None) -> Path:
     """Write `convergence.png`, `gait.png` and `report.html` into the run folder. Return the page's path.
+
+    Args:
+        history: the run.
+        recording: recording of its best robot, if there is one already; otherwise one is made.
 
     Raises:
         CaterpillarError: a file cannot be written.
@@ -60,16 +65,19 @@ def write(history: History) -> Path:
     for name, figure in drawings.items():
         draw.save(figure, folder / f"{name}.png")
     svgs = {name: draw.inline_svg(figure, name) for name, figure in drawings.items()}
-    write_bytes(path, page(history, svgs).encode(), COPY)
+    if recording is None and best is not None:
+        recording = Recording(best)
+    write_bytes(path, page(history, svgs, recording).encode(), COPY)
     return path
 
 
-def page(history: History, figures: Mapping[str, str]) -> str:
+def page(history: History, figures: Mapping[str, str], recording: Recording | None = None) -> str:
     """Return the text of the page.
 
     Args:
         history: the run.
         figures: SVG elements by name, `convergence` and `gait`; both are optional.
+        recording: recording of the best robot, for the 3D replay; optional.
     """
     config, generations, best = history.config, history.generations, history.best_robot
     evaluations, sessions, own = history.evaluations, history.sessions, history.own_optimizer
@@ -101,6 +109,7 @@ def page(history: History, figures: Mapping[str, str]) -> str:
         best=history.best,
         gait=None if best is None else measure_gait(best),
         figures=figures,
+        replay=None if recording is None else encode(recording),
         video=_embed_video(history),
         version=version("caterpillar-sma"),
     )

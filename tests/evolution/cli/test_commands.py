@@ -57,7 +57,7 @@ def elsewhere(tmp_path, monkeypatch):
 def without_page(monkeypatch):
     """No page is written, which takes longer than the run."""
     monkeypatch.setattr(
-        "evolution.report.run_page.write", lambda history: history.folder / "report.html"
+        "evolution.report.run_page.write", lambda history, _: history.folder / "report.html"
     )
 
 
@@ -207,7 +207,7 @@ def test_video_is_written_unless_it_already_shows_the_best_robot(run, monkeypatc
     history, made = load(run[0]), []
     path, console = history.folder / "best.mp4", Console(file=io.StringIO())
     monkeypatch.setattr(running, "film", lambda *arguments: made.append(arguments))
-    monkeypatch.setattr("evolution.report.run_page.write", lambda history: path)
+    monkeypatch.setattr("evolution.report.run_page.write", lambda history, _: path)
     monkeypatch.setattr(
         "caterpillar_env.drawing.video.is_video_of", lambda path, robot: path.read_bytes() == b"it"
     )
@@ -218,7 +218,8 @@ def test_video_is_written_unless_it_already_shows_the_best_robot(run, monkeypatc
     path.write_bytes(b"it")
     running.write_results(history, console, video=True)
     path.unlink()
-    assert [(robot.digest, where) for robot, where, _ in made] == [(history.best_robot.digest, path)] * 2
+    filmed = [(recording.robot.digest, where) for recording, where, _ in made]
+    assert filmed == [(history.best_robot.digest, path)] * 2
 
 
 # resume

@@ -35,7 +35,7 @@ def run(tmp_path_factory):
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(run_page, "write", lambda history: history.folder)  # takes a second
+    monkeypatch.setattr(run_page, "write", lambda history, _: history.folder)  # takes a second
     return tmp_path
 
 

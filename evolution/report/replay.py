@@ -1,0 +1,115 @@
+"""A recorded robot as JSON, for the 3D replay of a page (`replay.js`): its shapes and its poses."""
+
+from __future__ import annotations
+
+import base64
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from caterpillar_env.arrays import Array
+from caterpillar_env.drawing.overlay import spring_rgb
+from caterpillar_env.drawing.video import Recording
+from caterpillar_env.ground import clearances_m, half_axes_m, touching_geoms
+from caterpillar_env.model import build_model
+from caterpillar_env.physics import SMA_STEP_S
+
+TOUCHING_M = 1e-4  #: clearance below which a part touches the ground, as in videos
+_STRIDE = 2  # thermal steps from one frame to the next
+_MAX_BYTES = 600_000  # of the arrays, before base64; robots of many segments get fewer frames
+_COLOURS = 64  # of the springs, from ambient temperature to the cut-off
+
+
+def encode(recording: Recording) -> dict[str, Any]:
+    """Return what `replay.js` draws, for JSON.
+
+    Arrays are in base64, little-endian, with a row per frame. Positions are in m.
+    """
+    robot = recording.robot
+    model = build_model(robot.morphology, robot.physics)
+    spring = robot.physics.spring
+    steps = len(recording.qpos)
+    row_bytes = 14 * (model.nbody - 1) + model.ntendon + len(touching_geoms(model)) + 12
+    stride = max(_STRIDE, math.ceil(steps * row_bytes / _MAX_BYTES))
+    frames = np.arange(steps - 1, -1, -stride)[::-1]  # the last pose is always shown
+    poses, touches, centres_m = _locate(model, recording.qpos[frames])
+    scale_m = float(np.abs(poses[..., :3]).max()) / 32767
+    poses[..., :3] /= scale_m
+    poses[..., 3:] *= 32767
+    share = (recording.temperature_c[frames] - spring.ambient_c) / (spring.cut_off_c - spring.ambient_c)
+    heat = np.clip(np.round((_COLOURS - 1) * share), 0, _COLOURS - 1)
+    palette_c = np.linspace(spring.ambient_c, spring.cut_off_c, _COLOURS)
+    (start_m,) = _locate(model, model.qpos0[None])[2]
+    return {
+        "length_m": recording.body_length_m,
+        "start_m": start_m[0],
+        "duration_s": recording.duration_s,
+        "interval_s": stride * SMA_STEP_S,
+        "elements": model.nbody - 1,
+        "shapes": [_shape(model, geom) for geom in range(model.ngeom) if model.geom_bodyid[geom]],
+        "springs": [[_point(model, site) for site in ends] for ends in model.wrap_objid.reshape(-1, 2)],
+        "palette": [_hex(rgb) for rgb in spring_rgb(spring, palette_c)],
+        "ambient_c": spring.ambient_c,
+        "cut_off_c": spring.cut_off_c,
+        "scale_m": scale_m,
+        "poses": _base64(np.round(poses), "<i2"),  # position / scale_m and quaternion * 32767
+        "heat": _base64(heat, "u1"),  # index into the palette, of each spring
+        "touches": _base64(touches, "u1"),  # of each foot and shell, in the order of the shapes
+        "track": _base64(np.column_stack([centres_m[:, :2], recording.energy_j[frames]]), "<f4"),
+    }
+
+
+def _locate(model: mujoco.MjModel, qpos: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Return the poses of the elements in K frames, (K, elements, 7), whether parts touch the ground,
+    (K, parts), and centres of mass, m, (K, 3).
+    """
+    data = mujoco.MjData(model)
+    parts, half_axes = touching_geoms(model), half_axes_m(model)
+    poses = np.empty((len(qpos), model.nbody - 1, 7))
+    above_m, centres_m = np.empty((len(qpos), len(parts))), np.empty((len(qpos), 3))
+    for frame, position in enumerate(qpos):
+        data.qpos[:] = position
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        poses[frame] = np.hstack([data.xpos, data.xquat])[1:]
+        above_m[frame] = clearances_m(data.geom_xpos[parts], data.geom_xmat[parts], half_axes)
+        centres_m[frame] = data.subtree_com[1]
+    return poses, above_m < TOUCHING_M, centres_m
+
+
+def _shape(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
+    """Return an ellipsoid by its half axes, columns of a 3x3 matrix, or a capsule by its two ends."""
+    *rgb, opacity = model.geom_rgba[geom].tolist()
+    size = np.where(model.geom_size[geom] > 0, model.geom_size[geom], model.geom_size[geom, 0])
+    flat, centre = np.empty(9), model.geom_pos[geom]
+    mujoco.mju_quat2Mat(flat, model.geom_quat[geom])
+    matrix = flat.reshape(3, 3)
+    shape = {
+        "element": int(model.geom_bodyid[geom]) - 1, "colour": [round(255 * c) for c in rgb],
+        "opacity": opacity, "touching": bool(model.geom_conaffinity[geom]),
+    }  # fmt: skip
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        along = size[1] * matrix[:, 2]
+        return shape | {"ends": [_round(centre - along), _round(centre + along)], "radius": size[0]}
+    return shape | {"centre": _round(centre), "axes": [_round(row) for row in matrix * size]}
+
+
+def _point(model: mujoco.MjModel, site: int) -> list[float]:
+    """Return the element of a site, and its position there."""
+    return [int(model.site_bodyid[site]) - 1, *_round(model.site_pos[site])]
+
+
+def _round(values: Array) -> list[float]:
+    rounded: list[float] = np.round(values, 6).tolist()
+    return rounded
+
+
+def _hex(rgb: Array) -> str:
+    return "#" + bytes(np.round(255 * rgb).astype(np.uint8)).hex()
+
+
+def _base64(values: Array | NDArray[np.bool_], kind: str) -> str:
+    return base64.b64encode(values.astype(kind).tobytes()).decode()
