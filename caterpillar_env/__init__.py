@@ -33,6 +33,7 @@ _LAZY = {
     "Physics": "physics",
     "Robot": "robot",
     "SmaSpring": "sma",
+    "World": "worlds",
     "simulate": "robot",
 }
 __all__ = ["CaterpillarError", *_LAZY]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -13,6 +13,7 @@ from caterpillar_env.gait import MAX_STEPS
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.randomization import Randomization
+from caterpillar_env.worlds import World
 
 ActionMode = Literal["timing", "phase", "switch"]
 
@@ -63,6 +64,8 @@ class EpisodeConfig:
         """Create the settings from the keyword arguments of an environment."""
         chosen: dict[str, Any] = {f.name: arguments.get(f.name) for f in fields(cls)}
         chosen["physics"] = Physics.of(chosen["physics"])
+        if (world := arguments.get("world")) is not None:
+            chosen["physics"] = replace(chosen["physics"], world=World.of(world))
         chosen["randomization"] = Randomization.of(chosen["randomization"])
         return cls(**chosen)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import mujoco
 
-from caterpillar_env.physics import Physics
+from caterpillar_env.physics import GRAVITY_M_S2, Physics
+from caterpillar_env.worlds import Patches, Slope
 
 _INTEGRATORS = {
     "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
@@ -29,5 +30,10 @@ def set_options(spec: mujoco.MjSpec, p: Physics) -> None:
     off = mujoco.mjtDisableBit
     # Auto-reset would hide a divergence, which must be reported as a failure.
     option.disableflags |= off.mjDSBL_AUTORESET
-    # A single robot on a plane gains nothing from islands or midphase culling; results are identical.
-    option.disableflags |= off.mjDSBL_ISLAND | off.mjDSBL_MIDPHASE
+    # A single robot gains nothing from islands, and on a plane nothing from midphase culling. Results
+    # are identical.
+    option.disableflags |= off.mjDSBL_ISLAND
+    if p.world.level and not isinstance(p.world, Patches):
+        option.disableflags |= off.mjDSBL_MIDPHASE
+    if isinstance(p.world, Slope):
+        option.gravity = [-GRAVITY_M_S2 * component for component in p.world.up]

@@ -19,6 +19,7 @@ from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.randomization import Randomization
 from caterpillar_env.task import EPISODE_S, Failure, OnInterval
+from caterpillar_env.worlds import World
 
 if TYPE_CHECKING:
     import mujoco
@@ -36,6 +37,8 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         morphology: the body: a mapping of the parameters that differ from the nominal body, the eight
             values of `morphology.NAMES`, or a `Morphology`.
         physics: a mapping of the fields that differ from the defaults of `Physics`, or a `Physics`.
+        world: ground to crawl on, in place of `physics.world`, see `World.of`: "rough", for example, or
+            "slope:angle_deg=5".
         action_mode: "timing", where a step is a gait period and the action holds on and off times;
             "phase", the same with delays and duties; or "switch", where a step is a control interval of
             0.1 s and the action switches springs.
@@ -78,6 +81,7 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         morphology: Morphology | Mapping[str, float] | Sequence[float] | NDArray[Any] | None = None,
         *,
         physics: Physics | Mapping[str, Any] | None = None,
+        world: World | Mapping[str, Any] | str | None = None,
         action_mode: ActionMode = "timing",
         symmetric: bool = True,
         gait_period_s: float = GAIT_PERIOD_S,

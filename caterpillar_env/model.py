@@ -17,7 +17,7 @@ import numpy as np
 from caterpillar_env.drawing.scenery import add_cameras, add_scenery, remove_ruler_picture
 from caterpillar_env.engine import set_options
 from caterpillar_env.gait import SPRINGS_PER_GAP, spring_names
-from caterpillar_env.ground import FOOT, SKIN, STANCE_M, add_ground, condim
+from caterpillar_env.ground import FOOT, ROBOT, SKIN, STANCE_M, add_ground, condim
 from caterpillar_env.morphology import Body, Morphology, segments_of
 from caterpillar_env.physics import Physics
 from caterpillar_env.sma import SmaSpring
@@ -39,7 +39,9 @@ def joint_names(num_segments: int) -> list[str]:
 
 
 def build_model(body: Body, physics: Physics, *, scenery: bool = True) -> mujoco.MjModel:
-    """Compile a robot that stands straight along x on flat ground.
+    """Compile a robot that stands straight along x at the start of its world.
+
+    On uneven ground, it is not yet at the right height; `Simulation` raises or lowers it.
 
     Args:
         body: one morphology, or one per segment. All segments stand on their feet. If the axes of two
@@ -88,9 +90,14 @@ class ModelBuilder:
         """Compile a robot."""
         self._segments = segments_of(body, self._physics.num_segments)
         self._existing = iter(tuple(self._parts))
+        is_new = self.spec is None
         if self.spec is None:
-            self.spec = _new_spec(self._physics, scenery=self._scenery)
+            self.spec = _new_spec(self._physics)
         self._add_robot(self.spec)
+        if is_new:  # after the robot, whose elements have the first indices of bodies
+            ground = add_ground(self.spec, self._physics.world)
+            if self._scenery:
+                add_scenery(self.spec, ground, level=self._physics.world.level)
         model = self.spec.compile()
         trim_tendons(model)
         return model
@@ -131,7 +138,8 @@ class ModelBuilder:
                 self._add_anchors(element, segment, m)
             parent = element
         if self._scenery:
-            add_cameras(spec.body("element0"), self._segments, self._part)
+            head, up = spec.body("element0"), self._physics.world.up
+            add_cameras(head, self._segments, up, self._part)
 
     def _add_shell(self, body: mujoco.MjsBody, index: int, m: Morphology) -> None:
         shade = 1.0 if index % ELEMENTS_PER_SEGMENT == 0 else 0.8
@@ -274,14 +282,11 @@ def pretension(ahead: Morphology, behind: Morphology, spring: SmaSpring) -> floa
     return pull
 
 
-def _new_spec(p: Physics, *, scenery: bool) -> mujoco.MjSpec:
+def _new_spec(p: Physics) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     set_options(spec, p)
     _set_defaults(spec, p)
-    ground = add_ground(spec)
-    if scenery:
-        add_scenery(spec, ground)
     _add_springs(spec, p)
     return spec
 
@@ -290,7 +295,7 @@ def _set_defaults(spec: mujoco.MjSpec, p: Physics) -> None:
     """Set the defaults of geoms, joints, tendons and actuators. Geoms collide with the ground only."""
     default = spec.default
     default.geom.contype, default.geom.conaffinity, default.geom.condim = 0, 0, condim(p.friction)
-    default.geom.friction, default.geom.priority = [p.friction, 0, 0], 1
+    default.geom.friction, default.geom.priority = [p.friction, 0, 0], ROBOT
     default.geom.solref[:2] = [p.contact_time_constant_s, 1]
     default.joint.solref_limit[:2] = [p.stop_time_constant_s, 1]
     default.joint.solimp_limit[:2] = _STOP_IMPEDANCE

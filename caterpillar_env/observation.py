@@ -80,13 +80,16 @@ def observe(
     x, y = vectors[..., 0].copy(), vectors[..., 1].copy()
     vectors[..., 0] = cosine * x + sine * y
     vectors[..., 1] = cosine * y - sine * x
+    height = state.com_m[:, 2:]
+    if not physics.world.level:
+        height = height - physics.world.surface(*state.com_m[:, :2].T)[0][:, None]
     parts = [
         state.joint_position / position_scale,
         state.joint_velocity / velocity_scale,
         vectors[:, 0],
         np.cos(heading_rad)[:, None],
         np.sin(heading_rad)[:, None],
-        state.com_m[:, 2:] / _HEIGHT_SCALE_M,
+        height / _HEIGHT_SCALE_M,
         vectors[:, 1] / _VELOCITY_SCALE_M_S,
         vectors[:, 2] / _RATE_SCALE_RAD_S,
         (state.temperature_c - spring.ambient_c) / (spring.cut_off_c - spring.ambient_c),

@@ -12,6 +12,7 @@ from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError, check_fields, from_mapping
 from caterpillar_env.gait import SPRINGS_PER_GAP, count_steps
 from caterpillar_env.sma import SmaSpring
+from caterpillar_env.worlds import Flat, Patches, World
 
 #: Thermal step: interval between updates of the spring temperatures and the actuator controls.
 SMA_STEP_S = 0.01
@@ -80,12 +81,16 @@ class Physics:
     stop_time_constant_s: float = 0.005  #: softness of the joint stops; two timesteps
     solver_tolerance: float = 1e-8  #: MuJoCo solver tolerance
     solver_iterations: int = 100  #: maximum number of MuJoCo solver iterations
+    world: World = field(default_factory=Flat)  #: ground, such as rough or slope:angle_deg=5
 
     def __post_init__(self) -> None:
         if not isinstance(self.spring, SmaSpring):
             spring = from_mapping(SmaSpring, self.spring, "spring")
             object.__setattr__(self, "spring", spring)
+        object.__setattr__(self, "world", World.of(self.world))
         check_fields(self, BOUNDS)
+        if isinstance(self.world, Patches) and self.friction == 0:
+            raise CaterpillarError("friction = 0 must be positive in the world patches, which scales it")
         strengths = self.spring_strengths
         if strengths is not None and len(strengths) != self.num_springs:
             raise CaterpillarError(

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from caterpillar_env.errors import CaterpillarError, from_mapping, show
-from caterpillar_env.ground import condim
+from caterpillar_env.ground import TILE, condim
 from caterpillar_env.model import trim_tendons
 from caterpillar_env.physics import Physics, mismatched
 
@@ -112,7 +112,9 @@ _BOUNDS = {
 def apply_conditions(model: mujoco.MjModel, physics: Physics, conditions: Conditions) -> mujoco.MjModel:
     """Return a copy of `model` with `conditions`. `ambient_c` affects only the springs."""
     changed = copy.copy(model)
-    changed.geom_friction[:, 0] = conditions.friction
+    tiles = changed.geom_priority == TILE  # their friction is relative to that of the robot
+    changed.geom_friction[tiles, 0] *= conditions.friction / (physics.friction or 1.0)
+    changed.geom_friction[~tiles, 0] = conditions.friction
     changed.geom_condim[:] = condim(conditions.friction)
     ratio = (np.array(conditions.strengths) / physics.strengths())[:, None]
     for parameters in (changed.actuator_gainprm, changed.actuator_biasprm, changed.actuator_forcerange):

@@ -144,7 +144,7 @@ class Simulation:
         self._steps[index] = 0
         self.energy_j[index] = 0.0
         self._load_n[index] = 0.0
-        self._refresh(index)
+        self._refresh(index, standing=not self.physics.world.level)
 
     def _change(self, row: int, body: Body, condition: Conditions | None) -> None:
         model, ambient_c = self._build(body), self.physics.spring.ambient_c
@@ -169,7 +169,8 @@ class Simulation:
                 the internal joints (`model.joint_names`).
             rows: indices of the robots to move, (R,); all by default.
             qvel: MuJoCo generalized velocities, (R, nv); 0 by default.
-            standing: whether to raise or lower each robot until its lowest point touches the ground.
+            standing: whether to raise or lower each robot until its lowest point touches the ground. On
+                uneven ground, this always happens.
 
         Raises:
             CaterpillarError: `qpos` has the wrong shape.
@@ -179,10 +180,7 @@ class Simulation:
         if qpos.shape != expected:
             raise CaterpillarError(f"qpos must have shape {expected}; got {qpos.shape}")
         self._qpos[index], self._qvel[index] = qpos, qvel
-        self._refresh(index)
-        if standing:
-            self._qpos[index, 2] -= self.pose(index).clearance_m + STANCE_M
-            self._refresh(index)
+        self._refresh(index, standing=standing or not self.physics.world.level)
 
     def get_state(self, rows: Rows | None = None) -> SimulationState:
         """Return the state of robots as new arrays, from which their motion can be repeated exactly."""
@@ -280,9 +278,12 @@ class Simulation:
             before_j[:, None] + used_j.T,
         )
 
-    def _refresh(self, index: Rows) -> None:
-        """Update derived fields after a change of the state."""
+    def _refresh(self, index: Rows, *, standing: bool = False) -> None:
+        """Update derived fields after a change of the state, or of the height to stand on the ground."""
         self.engine.forward(index, stage=_POSITIONS_AND_VELOCITIES)
+        if standing:
+            self._qpos[index, 2] -= self.pose(index).clearance_m + STANCE_M
+            self._refresh(index)
 
     def diverged(self, rows: Rows | None = None) -> NDArray[np.bool_]:
         """Return whether the state is not finite or MuJoCo has warned since reset, (R,)."""
@@ -299,7 +300,7 @@ class Simulation:
         matrices = self._xmat[chosen, self._elements]
         axes = np.add.reduce(matrices, axis=1) / matrices.shape[1]  # row-major: x, y, z are columns
         centres_m, turns = (f[chosen, self._touching] for f in (self._geom_xpos, self._geom_xmat))
-        lowest = clearances_m(centres_m, turns, self._half_axes[chosen])
+        lowest = clearances_m(self.physics.world, centres_m, turns, self._half_axes[chosen])
         return Pose(
             time_s=self._steps[chosen].astype(np.float64) * SMA_STEP_S,
             com_m=self._com[chosen, 1].copy(),

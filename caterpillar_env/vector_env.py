@@ -23,6 +23,7 @@ from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.randomization import Randomization
 from caterpillar_env.task import EPISODE_S, OnInterval
+from caterpillar_env.worlds import World
 
 
 class CaterpillarVectorEnv(
@@ -63,6 +64,7 @@ class CaterpillarVectorEnv(
         morphology: Any = None,
         *,
         physics: Physics | Mapping[str, Any] | None = None,
+        world: World | Mapping[str, Any] | str | None = None,
         action_mode: ActionMode = "timing",
         symmetric: bool = True,
         gait_period_s: float = GAIT_PERIOD_S,

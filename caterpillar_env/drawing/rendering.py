@@ -100,9 +100,11 @@ class RobotRenderer:
         self._option = mujoco.MjvOption()
         self._option.sitegroup[:] = 0  # hide the sites at the springs' ends
         self._parts, self._half_axes = touching_geoms(model), half_axes_m(model)
-        self._ruler = model.geom(RULER).id
-        # Place the zero of the ruler at the initial centre of mass, so that it shows the distance.
-        model.geom_pos[self._ruler, 0] += self.centre_of_mass(model.qpos0)[0]
+        self._world = physics.world
+        self._ruler = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, RULER)  # -1 on uneven ground
+        if self._ruler >= 0:
+            # Place its zero at the initial centre of mass, so that it shows the distance.
+            model.geom_pos[self._ruler, 0] += self.centre_of_mass(model.qpos0)[0]
         self._canvas: mujoco.Renderer | None = None
 
     def centre_of_mass(self, qpos: Array) -> Array:
@@ -123,16 +125,18 @@ class RobotRenderer:
             RenderingError: rendering is not possible on this machine.
         """
         centre = self.centre_of_mass(qpos)
-        self._data.geom_xpos[self._ruler, 1] += centre[1]  # keep the ruler beside the robot
+        if self._ruler >= 0:
+            self._data.geom_xpos[self._ruler, 1] += centre[1]  # keep the ruler beside the robot
         self.model.tendon_rgba[:, :3] = spring_rgb(self._spring, temperature_c)
         canvas = self._open_canvas()
         canvas.update_scene(self._data, self._view.camera_name, self._option)
         canvas.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
-        above_m = clearances_m(
-            self._data.geom_xpos[self._parts], self._data.geom_xmat[self._parts], self._half_axes
-        )
-        for x, y, _ in self._data.geom_xpos[self._parts[above_m < _TOUCHING_M]]:
-            _add_spot(canvas.scene, x, y)
+        centres, turns = self._data.geom_xpos[self._parts], self._data.geom_xmat[self._parts]
+        above_m = clearances_m(self._world, centres, turns, self._half_axes)
+        spots = centres[above_m < _TOUCHING_M]
+        spots[:, 2] = self._world.surface(spots[:, 0], spots[:, 1])[0] + _SPOT_HEIGHT_M
+        for spot in spots:
+            _add_spot(canvas.scene, spot)
         frame: NDArray[np.uint8] = canvas.render()
         return frame
 
@@ -203,11 +207,11 @@ class Pictures:
         self._renderers.clear()
 
 
-def _add_spot(scene: mujoco.MjvScene, x: float, y: float) -> None:
+def _add_spot(scene: mujoco.MjvScene, position: Array) -> None:
     """Mark a contact with the ground."""
     if scene.ngeom < scene.maxgeom:
         mujoco.mjv_initGeom(
             scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CYLINDER, _SPOT_SIZE_M,
-            np.array([x, y, _SPOT_HEIGHT_M]), np.eye(3).ravel(), _CONTACT_RGBA,
+            position, np.eye(3).ravel(), _CONTACT_RGBA,
         )  # fmt: skip
         scene.ngeom += 1

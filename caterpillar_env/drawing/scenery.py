@@ -7,7 +7,9 @@ from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import mujoco
+import numpy as np
 
+from caterpillar_env.arrays import Array
 from caterpillar_env.morphology import Morphology, length_m
 
 #: Cameras that follow the robot, with an oblique view, a side view and a top view.
@@ -29,8 +31,8 @@ _VIEWS: dict[Camera, tuple[list[float], list[float]]] = {
 }
 
 
-def add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
-    """Add light, sky, a ground texture with 2 cm squares, and a ruler along x."""
+def add_scenery(spec: mujoco.MjSpec, ground: Sequence[mujoco.MjsGeom], *, level: bool) -> None:
+    """Add light, sky, a ground texture with 2 cm squares, and on level ground a ruler along x."""
     spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
     spec.visual.headlight.diffuse = [0.25, 0.25, 0.25]
     spec.visual.map.znear = 0.02
@@ -50,33 +52,56 @@ def add_scenery(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
     )  # fmt: skip
     # On an infinite plane the squares are twice as large as `texrepeat` specifies.
     _add_material(spec, "squares", specular=0.0, texuniform=True, texrepeat=[50, 50])
-    ground.material = "squares"
+    spec.add_material(name="tile", specular=0.0)
+    for geom in ground:  # the colour of a tile shows its friction
+        geom.material = "tile" if level and len(ground) > 1 else "squares"
     spec.worldbody.add_light(
         pos=[0, -0.3, 1.0], dir=[0, 0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
         castshadow=True, diffuse=[0.45, 0.45, 0.45],
     )  # fmt: skip
-    _add_ruler(spec)
+    if level:
+        _add_ruler(spec)
 
 
-def add_cameras(head: mujoco.MjsBody, segments: Sequence[Morphology], make: Callable[..., Any]) -> None:
-    """Add the `CAMERAS` by calling `make`, at distances that keep the whole body in view."""
+def add_cameras(
+    head: mujoco.MjsBody,
+    segments: Sequence[Morphology],
+    up: tuple[float, float, float],
+    make: Callable[..., Any],
+) -> None:
+    """Add the `CAMERAS` by calling `make`, at distances that keep the whole body in view.
+
+    They are turned from z to the direction `up`, so that pictures show how steep a slope is.
+    """
+    turn = rotation_to(up)
     long_m = length_m(segments)
     middle_m = segments[0].segment_length_m / 4 - long_m / 2
-    for name, ((x, y, z), axes) in _VIEWS.items():
+    for name, (position, axes) in _VIEWS.items():
+        x, y, z = turn @ position
         make(
             head.add_camera,
             {
                 "name": name, "mode": mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM, "fovy": 40,
-                "xyaxes": axes,
+                "xyaxes": (np.reshape(axes, (2, 3)) @ turn.T).ravel().tolist(),
             },
             pos=[middle_m + x * long_m, y * long_m, z * long_m],
         )  # fmt: skip
+
+
+def rotation_to(up: tuple[float, float, float]) -> Array:
+    """Return the matrix of the smallest rotation from z to a unit vector, (3, 3)."""
+    x, y, z = up
+    cross = np.array([[0.0, 0.0, x], [0.0, 0.0, y], [-x, -y, 0.0]])
+    rotation: Array = np.eye(3) + cross + cross @ cross / (1.0 + z)
+    return rotation
 
 
 def remove_ruler_picture(spec: mujoco.MjSpec) -> None:
     """Replace the ruler's image by 1 cm squares, because MJCF cannot store the image."""
     first, last = _RULER_CM
     texture = spec.texture(RULER)
+    if texture is None:  # uneven ground
+        return
     texture.data, texture.width, texture.height = b"", 64, 64
     texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
     texture.rgb1, texture.rgb2 = [0.98, 0.96, 0.84], [0.35, 0.35, 0.33]

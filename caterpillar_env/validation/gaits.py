@@ -45,7 +45,8 @@ def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
     crawl = Crawl([robot.morphology], physics, threads=1, stop_on_failure=False)
     power = np.tile(robot.timings.of_springs(physics.num_springs).power(SMA_STEP_S), (1, periods, 1))
     model = crawl.simulation.models[0]
-    qpos, com_m, slip_m, body_load, overrun = _replay(model, crawl.simulation.heat(power).control[0])
+    control = crawl.simulation.heat(power).control[0]
+    qpos, com_m, slip_m, body_load, overrun = _replay(model, crawl.simulation.qpos(0), control)
     crawl.run(power)
     end = crawl.progress()
     if not np.array_equal(qpos, crawl.simulation.qpos(0)):
@@ -71,14 +72,17 @@ def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
     )
 
 
-def _replay(model: mujoco.MjModel, control: Array) -> tuple[Array, Array, float, float, float]:
-    """Step `model` from its initial state with `control` (K, springs).
+def _replay(
+    model: mujoco.MjModel, start: Array, control: Array
+) -> tuple[Array, Array, float, float, float]:
+    """Step `model` from the positions `start` (nq,), at rest, with `control` (K, springs).
 
     Returns:
         The final positions, the centre of mass before each step and after the last, m, (K + 1, 3), and
         the sliding distance of the feet, the load share of the body, and the overrun; see `Gait`.
     """
     data = mujoco.MjData(model)
+    data.qpos[:] = start
     is_skin = model.geom_conaffinity == SKIN
     limits = model.jnt_range[1:, 1]
     com_m = np.empty((len(control) + 1, 3))
@@ -90,7 +94,7 @@ def _replay(model: mujoco.MjModel, control: Array) -> tuple[Array, Array, float,
         overrun = max(overrun, float(((np.abs(data.qpos[7:]) - limits) / limits).max()))
         contact = data.contact
         active = contact.efc_address >= 0
-        part = contact.geom[active, 1]
+        part = np.where(model.geom_conaffinity[contact.geom], contact.geom, 0).max(axis=1)[active]
         load_n = data.efc_force[contact.efc_address[active]]
         skin = is_skin[part]
         skin_n, all_n = skin_n + load_n[skin].sum(), all_n + load_n.sum()

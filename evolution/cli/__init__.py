@@ -14,7 +14,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import entry_points, version
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from caterpillar_env.errors import CaterpillarError
 
@@ -115,12 +115,36 @@ def parse(kind: type[T], argv: Sequence[str], command: str, default: T | None = 
                 args=list(argv),
                 default=tyro.MISSING_NONPROP if default is None else default,
                 config=(tyro.conf.OmitArgPrefixes, tyro.conf.DisallowNone),
+                registry=_make_registry(),
             )
     except SystemExit as stop:
         error = _find_own_error(stop)
         text = messages.getvalue() if error is None else f"caterpillar {command}: error: {error}\n"
         sys.stderr.write(text)
         raise
+
+
+def _make_registry() -> Any:
+    """Return the rule that reads a world from one argument, such as "slope:angle_deg=5"."""
+    from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+
+    from caterpillar_env.worlds import WORLDS, World
+
+    registry = ConstructorRegistry()
+
+    @registry.primitive_rule
+    def read_world(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[World] | None:
+        if info.type is not World:
+            return None
+        return PrimitiveConstructorSpec(
+            nargs=1,
+            metavar="{" + ",".join(WORLDS) + "}[:FIELD=VALUE,...]",
+            instance_from_str=lambda words: World.of(words[0]),
+            is_instance=lambda value: isinstance(value, World),
+            str_from_instance=lambda world: [str(world)],
+        )
+
+    return registry
 
 
 def _find_own_error(stop: SystemExit) -> CaterpillarError | None:

@@ -8,11 +8,14 @@ from viser import FrameHandle, LineSegmentsHandle, SceneApi
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.drawing.overlay import spring_rgb
-from caterpillar_env.model import build_model
+from caterpillar_env.drawing.scenery import rotation_to
+from caterpillar_env.model import ELEMENTS_PER_SEGMENT, build_model
 from caterpillar_env.morphology import Body
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Robot
+from caterpillar_env.worlds import EXTENT_X_M, EXTENT_Y_M, World
 
+_MESH_M = 0.005  # distance of the points of uneven ground
 _GROUND_M = 4.0  # side length of the ground; no robot crawls 2 m in 30 s
 
 
@@ -24,11 +27,7 @@ class RobotScene:
         self._world = scene.add_frame("/world", show_axes=False)
         self._robot: FrameHandle | None = None
         self._built: tuple[Body, Physics] | None = None
-        scene.add_grid(
-            "/world/ground", width=_GROUND_M, height=_GROUND_M, cell_size=0.01, section_size=0.1,
-            cell_color=(170, 178, 170), section_color=(120, 130, 120), plane_color=(222, 228, 222),
-            plane_opacity=1.0, fade_distance=2.0,
-        )  # fmt: skip
+        self._turn = np.eye(3)  # from the frame of the ground to that of the view, whose z is up
 
     def draw(self, robot: Robot, qpos: Array, temperature_c: Array) -> None:
         """Draw a robot in place of the previous one. The ground moves, so that the robot stays in view.
@@ -45,27 +44,33 @@ class RobotScene:
         model, data = self._model, self._data
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        for element, position, wxyz in zip(self._elements, data.xpos[1:], data.xquat[1:], strict=True):
+        parts = slice(1, 1 + len(self._elements))
+        for element, position, wxyz in zip(
+            self._elements, data.xpos[parts], data.xquat[parts], strict=True
+        ):
             element.position, element.wxyz = position, wxyz
         self._springs.points = data.site_xpos[self._ends].astype(np.float32)
         colours = np.round(255 * spring_rgb(robot.physics.spring, temperature_c)[:, None])
         self._springs.colors = np.repeat(colours.astype(np.uint8), 2, axis=1)
-        middle = data.xpos[1:].mean(axis=0)
-        self._world.position = (-middle[0], -middle[1], 0.0)
+        middle = data.xpos[parts].mean(axis=0)
+        ground_m, _ = robot.physics.world.surface(middle[0], middle[1])
+        self._world.position = -self._turn @ [middle[0], middle[1], ground_m]
 
     def _build(self, robot: Robot) -> None:
         if self._robot is not None:
             self._robot.remove()
+        if self._built is None or self._built[1].world != robot.physics.world:
+            self._build_ground(robot.physics.world)
         self._built = (robot.morphology, robot.physics)
         model = build_model(robot.morphology, robot.physics)
         self._model, self._data = model, mujoco.MjData(model)
         self._robot = self._scene.add_frame("/world/robot", show_axes=False)
         self._elements = [
             self._scene.add_frame(f"/world/robot/{model.body(i).name}", show_axes=False)
-            for i in range(1, model.nbody)
+            for i in range(1, 1 + ELEMENTS_PER_SEGMENT * robot.physics.num_segments)
         ]
         for geom in range(model.ngeom):
-            if model.geom_bodyid[geom]:  # not the ground
+            if 0 < model.geom_bodyid[geom] <= len(self._elements):  # not the ground
                 self._add_geom(geom)
         self._ends = model.wrap_objid.reshape(-1, 2)  # two sites per tendon
         self._springs: LineSegmentsHandle = self._scene.add_line_segments(
@@ -74,6 +79,33 @@ class RobotScene:
             colors=np.zeros((model.ntendon, 2, 3), dtype=np.uint8),
             thickness=2 * float(model.tendon_width[0]),
         )
+
+    def _build_ground(self, world: World) -> None:
+        """Draw the ground: a grid on level ground, or a mesh."""
+        self._turn = rotation_to(world.up).T
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, self._turn.ravel())
+        self._world.wxyz = quaternion
+        if world.level:
+            self._scene.add_grid(
+                "/world/ground", width=_GROUND_M, height=_GROUND_M, cell_size=0.01, section_size=0.1,
+                cell_color=(170, 178, 170), section_color=(120, 130, 120), plane_color=(222, 228, 222),
+                plane_opacity=1.0, fade_distance=2.0,
+            )  # fmt: skip
+            return
+        columns, rows = (np.arange(low, high, _MESH_M) for low, high in (EXTENT_X_M, EXTENT_Y_M))
+        x, y = (side.ravel() for side in np.meshgrid(columns, rows))
+        corners = np.arange(x.size).reshape(len(rows), len(columns))
+        a, b, c, d = (
+            part.ravel()
+            for part in (corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1])
+        )
+        faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+        vertices = np.stack([x, y, world.surface(x, y)[0]], axis=1)
+        self._scene.add_mesh_simple(
+            "/world/ground", vertices.astype(np.float32), faces.astype(np.uint32),
+            color=(196, 204, 196), flat_shading=True,
+        )  # fmt: skip
 
     def _add_geom(self, geom: int) -> None:
         model = self._model

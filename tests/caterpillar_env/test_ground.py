@@ -8,6 +8,7 @@ from caterpillar_env import Morphology, Physics
 from caterpillar_env.ground import LOADS, clearances_m, condim, half_axes_m, touching_geoms
 from caterpillar_env.model import build_model
 from caterpillar_env.simulation import Simulation
+from caterpillar_env.worlds import Flat
 
 WEIGHT_N = 4 * 0.008 * 9.81
 
@@ -23,7 +24,7 @@ def turned(angle_rad):
     [(0.0, 3.0), (math.pi / 2, 1.0), (math.pi / 4, math.sqrt((1 + 9) / 2))],
 )
 def test_lowest_point_of_a_tilted_ellipsoid(angle_rad, reach_m):
-    low = clearances_m(np.array([0.0, 0.0, 5.0]), turned(angle_rad), np.array([1.0, 2.0, 3.0]))
+    low = clearances_m(Flat(), np.array([0.0, 0.0, 5.0]), turned(angle_rad), np.array([1.0, 2.0, 3.0]))
     assert low == pytest.approx(5.0 - reach_m)
 
 

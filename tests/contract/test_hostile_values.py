@@ -21,6 +21,7 @@ from caterpillar_env.files import parse_json, read
 from caterpillar_env.gait import GaitTimings, count_steps
 from caterpillar_env.randomization import Randomization
 from caterpillar_env.robot import Robot, simulate
+from caterpillar_env.worlds import WORLDS
 from evolution.config import RunConfig
 from evolution.genome import Encoding
 from evolution.optimizers.cma_es import CmaConfig
@@ -75,6 +76,7 @@ SETTINGS = [
         CmaConfig,
         ShadeConfig,
         Morphology,
+        *WORLDS.values(),
     )
     for name in kind.__dataclass_fields__
 ]
@@ -120,7 +122,7 @@ def test_names_of_arms_stay_in_their_folder(name):
 @pytest.mark.parametrize(
     "name",
     [
-        "morphology", "physics", "action_mode", "symmetric", "gait_period_s", "action_repeat",
+        "morphology", "physics", "world", "action_mode", "symmetric", "gait_period_s", "action_repeat",
         "episode_s", "forward_reward_weight", "ctrl_cost_weight", "failure_cost", "reset_noise_scale",
         "randomization", "terminate_on_failure", "render_mode", "width", "height", "camera_name",
         "num_envs", "max_episode_steps", "threads", "autoreset_mode",

@@ -287,3 +287,14 @@ def test_everything_except_rendering_works_with_one_warning(broken):
     assert len(warned) == 1
     assert re.search(r"cannot draw \(.*no device\); install EGL", str(warned[0].message))
     assert len(broken) == 1  # a second attempt may crash Python
+
+
+@pytest.mark.parametrize("world", ["slope", "steps", "rough", "patches"])
+def test_every_world_is_drawn(world):
+    frames = {}
+    for name in ("flat", world):
+        env = drawing_env("rgb_array", morphology=SMALL, world=name)
+        frames[name] = env.render()
+        env.close()
+        assert is_picture(frames[name])
+    assert np.abs(frames["flat"].astype(int) - frames[world]).mean() > 1

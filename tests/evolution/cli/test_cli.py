@@ -9,6 +9,7 @@ import sys
 
 import pytest
 
+from caterpillar_env.worlds import Slope
 from evolution import cli
 from evolution.run.history import load
 
@@ -224,6 +225,16 @@ def test_replay_at_a_finer_timestep_changes_the_fitness(recorded, capsys):
     assert captured["timestep_s"] == 0.005
     assert captured["identical"] is False
     assert captured["fitness_m"] != captured["recorded_fitness_m"]
+
+
+def test_a_world_is_recorded_and_replayed(tmp_path, capsys):
+    folder = tmp_path / "run"
+    world = ["--world", "slope:angle_deg=3,direction=down", "--seed", "4", "--population", "4"]
+    assert cli.main([*TINY, *world, "--out", str(folder)]) == 0
+    assert load(folder).config.physics.world == Slope(angle_deg=3.0, direction="down")
+    capsys.readouterr()
+    assert cli.main(["replay", str(folder), "--no-video", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["identical"]
 
 
 def test_process_exits_with_the_status_and_prints_one_line(tmp_path):

@@ -98,3 +98,24 @@ def test_a_new_body_replaces_the_previous_one(client):
     model = build_model(wide.morphology, wide.physics)
     shell = model.geom("shell0").id
     assert node(client, f"/world/robot/element0/geom{shell}").scale[1:] == (0.015, 0.015)
+
+
+@pytest.mark.parametrize("world", ["steps", "rough"])
+def test_uneven_ground_is_a_mesh(client, world):
+    robot = replace(nominal_robot(), physics=Physics(world=world))
+    scene = RobotScene(client.scene)
+    draw_at_start(scene, nominal_robot())
+    draw_at_start(scene, robot)
+    mesh = node(client, "/world/ground")
+    x, y, z = mesh.vertices.astype(float).T
+    np.testing.assert_allclose(z, robot.physics.world.surface(x + 1e-6, y)[0], atol=1e-4)
+    assert np.ptp(z) > 0.004
+    assert mesh.faces.max() == len(x) - 1
+
+
+def test_a_slope_is_inclined(client):
+    robot = replace(nominal_robot(), physics=Physics(world="slope:angle_deg=30"))
+    draw_at_start(RobotScene(client.scene), robot)
+    half = np.radians(15)
+    wxyz = node(client, "/world").wxyz  # forward is up, so the rotation about y is negative
+    np.testing.assert_allclose(wxyz, [np.cos(half), 0, -np.sin(half), 0], atol=1e-12)
