@@ -7,9 +7,11 @@
   const canvas = find("canvas"), play = find("play"), slider = find("time"), speed = find("speed");
   const pen = canvas.getContext("2d", { willReadFrequently: true }); // on the CPU: fast without a GPU too
   const data = JSON.parse(find("data").textContent);
-  const bytes = (name) => Uint8Array.from(atob(data[name]), (letter) => letter.charCodeAt(0));
+  const unpack = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const bytes = (name) => unpack(data[name]);
   const poses = new Int16Array(bytes("poses").buffer), track = new Float32Array(bytes("track").buffer);
   const heat = bytes("heat"), touches = bytes("touches");
+  const ground = data.ground && new Int32Array(unpack(data.ground.heights_um).buffer); // of uneven ground
   const frames = track.length / 3, last = frames - 1, long = data.length_m;
   const contact = "#ff8c0d", homeView = { turn: -0.5, tilt: 0.45, zoom: 1 };
   let view = { ...homeView }, frame = 0, playing = false, before = 0, queued = false;
@@ -18,6 +20,15 @@
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   const mix = (a, b, share) => a + (b - a) * share;
   const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+
+  // Height of the ground, m.
+  function elevation(x, y) {
+    if (!ground) return 0;
+    const { x_m, y_m, cell_m, columns } = data.ground, rows = ground.length / columns;
+    const u = clamp((x - x_m) / cell_m, 0, columns - 1), v = clamp((y - y_m) / cell_m, 0, rows - 1);
+    const i = Math.min(Math.floor(u), columns - 2), j = Math.min(Math.floor(v), rows - 2), k = j * columns + i;
+    return 1e-6 * mix(mix(ground[k], ground[k + 1], u - i), mix(ground[k + columns], ground[k + columns + 1], u - i), v - j);
+  }
 
   // Position and rotation matrix of each element, between two recorded frames.
   function locate() {
@@ -54,6 +65,8 @@
     return [Math.sqrt((xx + yy) / 2 + half), Math.sqrt(Math.max((xx + yy) / 2 - half, 0)), Math.atan2(2 * xy, xx - yy) / 2];
   }
 
+  const onGround = (x, y) => [x, y, elevation(x, y)];
+
   function polygon(points) {
     pen.beginPath();
     for (const point of points) {
@@ -67,7 +80,7 @@
   function spot(x, y, [long, short, angle]) {
     polygon(Array.from({ length: 24 }, (_, k) => {
       const c = long * Math.cos(k * Math.PI / 12), s = short * Math.sin(k * Math.PI / 12);
-      return [x + c * Math.cos(angle) - s * Math.sin(angle), y + c * Math.sin(angle) + s * Math.cos(angle), 0];
+      return onGround(x + c * Math.cos(angle) - s * Math.sin(angle), y + c * Math.sin(angle) + s * Math.cos(angle));
     }));
     pen.fill();
   }
@@ -91,22 +104,26 @@
     pen.clip();
     for (const [k, x] of [[0, now.x], [1, now.y]]) {
       for (let at = step * Math.ceil((x - radius) / step); at < x + radius; at += step) {
-        const ends = [-radius, radius].map((off) => (k ? [now.x + off, at, 0] : [at, now.y + off, 0]));
-        line(...ends, "#8883", pixel);
+        const pieces = ground ? 40 : 1; // that follow the ground
+        const points = Array.from({ length: pieces + 1 }, (_, n) => {
+          const off = radius * (2 * n / pieces - 1);
+          return k ? onGround(now.x + off, at) : onGround(at, now.y + off);
+        });
+        for (let n = 0; n < pieces; n++) line(points[n], points[n + 1], ground ? "#8886" : "#8883", pixel);
       }
     }
     pen.restore();
     const reach = Math.sqrt(radius ** 2 - (0.4 * long) ** 2), offset = now.x - data.start_m;
     const every = scale * 0.05 > 45 * pixel ? 5 : 10; // cm between two labels
-    line([now.x - reach, side, 0], [now.x + reach, side, 0], ink, 1.5 * pixel);
+    if (!ground) line([now.x - reach, side, 0], [now.x + reach, side, 0], ink, 1.5 * pixel);
     pen.fillStyle = ink;
     pen.font = `${12 * pixel}px system-ui, sans-serif`;
     pen.textAlign = "center";
     pen.textBaseline = "middle";
     for (let cm = Math.ceil(100 * (offset - reach)); cm <= 100 * (offset + reach); cm++) {
       const x = data.start_m + cm / 100, labelled = cm % every === 0;
-      line([x, side, 0], [x, side - (labelled ? 0.05 : 0.025) * long, 0], ink, pixel);
-      const text = project([x, side - 0.1 * long, 0]);
+      line(onGround(x, side), onGround(x, side - (labelled ? 0.05 : 0.025) * long), ink, pixel);
+      const text = project(onGround(x, side - 0.1 * long));
       if (labelled && Math.abs(cm / 100 - offset) < 0.95 * reach) pen.fillText(cm === 0 ? "0 cm" : cm, text.x, text.y);
     }
   }
@@ -139,8 +156,9 @@
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     pen.clearRect(0, 0, width, height);
     const c = Math.cos(view.turn), s = Math.sin(view.turn), high = Math.sin(view.tilt), flat = Math.cos(view.tilt);
-    axes = [[c, s, 0], [-s * high, c * high, flat], [-s * flat, c * flat, -high]]; // right, up, away
-    centre = [now.x, now.y, 0.12 * long];
+    axes = [[c, s, 0], [-s * high, c * high, flat], [-s * flat, c * flat, -high]] // right, up, away
+      .map((axis) => data.upright.map((row) => dot(row, axis)));
+    centre = [now.x, now.y, 0.12 * long + elevation(now.x, now.y)];
     scale = view.zoom * Math.min(canvas.width / 1.6, canvas.height / 1.1) / long;
     drawGround(now, pixel, ink);
     const parts = [];

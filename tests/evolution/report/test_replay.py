@@ -93,6 +93,27 @@ def test_shapes_are_those_of_the_body(data):
     assert len(data["springs"]) == 4
 
 
+@pytest.mark.parametrize("world", ["flat", "slope:angle_deg=20", "steps", "rough"])
+def test_ground_is_that_of_the_world(recording, world):
+    physics = replace(PHYSICS, world=world)
+    data = encode(Recording(replace(recording.robot, physics=physics)))
+    poses = unpack(data, "poses", "<i2", data["elements"], 7)
+    assert data["elements"] == 4
+    assert len(data["shapes"]) == 4 + 4 + 4  # no part of the ground
+    assert np.abs(data["scale_m"] * poses[..., :3]).max() < 1.0
+    np.testing.assert_allclose(np.array(data["upright"])[:, 2], physics.world.up)
+    if physics.world.level:
+        assert data["ground"] is None
+        return
+    ground = data["ground"]
+    heights = unpack(ground, "heights_um", "<i4", ground["columns"])
+    row, column = 20, 30
+    x, y = ground["x_m"] + column * ground["cell_m"], ground["y_m"] + row * ground["cell_m"]
+    height, _ = physics.world.surface(np.array(x), np.array(y))
+    assert heights[row, column] == pytest.approx(1e6 * height, abs=0.5)
+    assert np.ptp(heights) > 1000
+
+
 def test_long_robots_have_fewer_frames(recording):
     physics = replace(PHYSICS, num_segments=64)
     robot = Robot(Morphology(), GaitTimings(5.0, np.zeros(126), np.zeros(126)), physics)
