@@ -13,6 +13,7 @@ from baselines.policy import TrainedRobot
 from baselines.training import train
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
+from evolution.run.evaluators import Evaluator
 from evolution.run.history import History
 from evolution.study.arms import merge
 
@@ -41,8 +42,8 @@ class TrainArm:
         shared = {name: base[name] for name in ("physics",) if name in base}
         return cls(TrainConfig.from_dict(merge(shared, data)))
 
-    def run(self, folder: Path, seed: int, budget_s: float) -> bool:
-        """Train on one thread; return whether the training finished."""
+    def run(self, folder: Path, seed: int, budget_s: float, evaluator: Evaluator) -> bool:
+        """Train on one thread, without the evaluator; return whether the training finished."""
         shutil.rmtree(folder, ignore_errors=True)
         return train(self._configure(seed, budget_s), folder, threads=1).history.finished
 

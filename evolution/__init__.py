@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from evolution.optimizers.cma_es import CmaConfig
     from evolution.optimizers.ga import GaConfig
     from evolution.optimizers.shade import ShadeConfig
-    from evolution.run.evaluators import LocalEvaluator, RayEvaluator, evaluate
+    from evolution.run.cluster import RayEvaluator
+    from evolution.run.evaluators import LocalEvaluator, evaluate
     from evolution.run.history import Generation, History, load
     from evolution.run.loop import evolve, resume
 
@@ -45,7 +46,7 @@ _MODULES = {
     "Generation": "run.history",
     "History": "run.history",
     "LocalEvaluator": "run.evaluators",
-    "RayEvaluator": "run.evaluators",
+    "RayEvaluator": "run.cluster",
     "RunConfig": "config",
     "ShadeConfig": "optimizers.shade",
     "evaluate": "run.evaluators",

@@ -13,7 +13,8 @@ from caterpillar_env.errors import CaterpillarError, check_number
 from caterpillar_env.machine import MAX_THREADS
 from evolution import cli
 from evolution.config import RunConfig
-from evolution.run.evaluators import Evaluator, LocalEvaluator, RayEvaluator
+from evolution.run.cluster import RayEvaluator
+from evolution.run.evaluators import Evaluator, LocalEvaluator
 from evolution.run.history import Generation, History
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Evaluators: they simulate genomes on the cores of this machine, or on a Ray cluster.
+"""Evaluators: they simulate genomes on this machine, or on a Ray cluster (`evolution.run.cluster`).
 
 A result depends only on the genome and its encoding, bit for bit. It does not depend on the evaluator,
 the number of workers, or the genomes that are evaluated together.
@@ -6,22 +6,17 @@ the number of workers, or the genomes that are evaluated together.
 
 from __future__ import annotations
 
-import os
-import socket
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from typing import Any, NamedTuple, Protocol, Self
 
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.robot import Outcomes, follow
 from caterpillar_env.task import EPISODE_S, Crawl, CrawlState
 from evolution.genome import Encoding
 
-CHUNK = 50  #: number of genomes that are evaluated and recorded together
-_CONNECT_TIMEOUT_S = 5.0
+CHUNK = 50  #: largest number of genomes that are evaluated and recorded together
 
 OnProgress = Callable[[float], None]  #: called with the share that is evaluated, in [0, 1]
 
@@ -49,6 +44,10 @@ class Evaluator(Protocol):
 
     def __exit__(self, *_: object) -> None:
         return None
+
+    def split(self, rows: NDArray[Any]) -> list[NDArray[Any]]:
+        """Split an array, shape (P, ...), into chunks of genomes that are evaluated together."""
+        return [rows[i : i + CHUNK] for i in range(0, len(rows), CHUNK)]
 
     def map(
         self, encoding: Encoding, jobs: Sequence[Job], on_progress: OnProgress | None = None
@@ -93,11 +92,6 @@ def run_job(
     return Result(Outcomes.of(crawl.progress()), end)
 
 
-def split(rows: NDArray[Any]) -> list[NDArray[Any]]:
-    """Split an array into chunks of `CHUNK` genomes, which are evaluated and recorded together."""
-    return [rows[i : i + CHUNK] for i in range(0, len(rows), CHUNK)]
-
-
 def run_jobs(
     evaluator: Evaluator,
     encoding: Encoding,
@@ -136,87 +130,3 @@ class LocalEvaluator(Evaluator):
         """See `Evaluator.map`."""
         for job in jobs:
             yield run_job(job, encoding, threads=self._threads, on_progress=on_progress)
-
-
-class RayEvaluator(Evaluator):
-    """Evaluates on the workers of a Ray cluster, one job per worker at a time.
-
-    The job of a lost worker is evaluated again elsewhere. For the address, see `connect_ray`.
-    """
-
-    def __init__(self, address: str | None = None) -> None:
-        self._connection = connect_ray(address)
-
-    def __enter__(self) -> Self:
-        self._connection.__enter__()
-        return self
-
-    def __exit__(self, *exception: Any) -> None:
-        self._connection.__exit__(*exception)
-
-    def map(
-        self, encoding: Encoding, jobs: Sequence[Job], on_progress: OnProgress | None = None
-    ) -> Iterator[Result]:
-        """See `Evaluator.map`. Workers report complete jobs, so `on_progress` is not called."""
-        import ray
-
-        # One thread per task, as many tasks as cores. Ray restarts the task of a lost worker.
-        remote = ray.remote(num_cpus=1, max_retries=-1)(run_job)
-        shared = ray.put(encoding)
-        pending = [remote.remote(job, shared, threads=1) for job in jobs]
-        try:
-            while pending:
-                try:
-                    result: Result = ray.get(pending[0])
-                except ray.exceptions.RayTaskError as error:
-                    raise error.as_instanceof_cause() from None
-                del pending[0]
-                yield result
-        finally:
-            # Cancel only pending tasks: force-cancelling a finished one crashes Ray 2.60.
-            for reference in pending:
-                ray.cancel(reference)
-
-
-@contextmanager
-def connect_ray(address: str | None = None) -> Iterator[None]:
-    """Connect to a Ray cluster, or use the existing connection.
-
-    Args:
-        address: address of a running cluster, or "auto" for the cluster of this machine. None starts a
-            cluster on this machine and stops it at the end of the context.
-
-    Raises:
-        CaterpillarError: Ray is not installed, or no cluster can be reached.
-    """
-    try:
-        import ray
-    except ImportError:
-        raise CaterpillarError("Ray is not installed: pip install 'caterpillar-sma[ray]'") from None
-    if ray.is_initialized():
-        yield
-        return
-    _check_reachable(address)
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    try:
-        ray.init(address, log_to_driver=False, include_dashboard=False, logging_level="ERROR")
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        raise CaterpillarError(f"no Ray cluster at {address or 'this machine'}: {error}") from None
-    try:
-        yield
-    finally:
-        ray.shutdown()
-
-
-def _check_reachable(address: str | None) -> None:
-    """Raise an error if nothing listens at HOST:PORT; Ray would retry for minutes and then abort."""
-    host, _, port = (address or "").removeprefix("ray://").rpartition(":")
-    if not port.isdigit():
-        return  # "auto", "local" or None
-    try:
-        socket.create_connection((host, int(port)), timeout=_CONNECT_TIMEOUT_S).close()
-    except OSError as error:
-        raise CaterpillarError(
-            f"no Ray cluster at {address} ({error.strerror or error}); `ray start --head` starts one; "
-            "without an address, one is started on this machine"
-        ) from None

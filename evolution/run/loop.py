@@ -16,7 +16,7 @@ from caterpillar_env.errors import CaterpillarError, check_number
 from caterpillar_env.files import make_folder
 from evolution.config import RunConfig
 from evolution.optimizers.base import Optimizer
-from evolution.run.evaluators import Evaluator, Job, LocalEvaluator, OnProgress, run_jobs, split
+from evolution.run.evaluators import Evaluator, Job, LocalEvaluator, OnProgress, run_jobs
 from evolution.run.history import Generation, History
 from evolution.run.journal import Journal, fingerprint
 from evolution.run.objective import Objective, score
@@ -154,7 +154,7 @@ def _evaluate(
     if config.race_share < 1.0:
         history.append(genomes, race(genomes, config, history.objective, evaluator, on_progress))
         return
-    jobs = [Job(chunk) for chunk in split(genomes)]
+    jobs = [Job(chunk) for chunk in evaluator.split(genomes)]
     for job, result in zip(jobs, run_jobs(evaluator, config.encoding, jobs, on_progress), strict=True):
         history.append(job.genomes, result.outcomes)
 

@@ -14,7 +14,7 @@ from caterpillar_env.arrays import Array, Rows
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import EPISODE_S, CrawlState
 from evolution.config import RunConfig
-from evolution.run.evaluators import Evaluator, Job, OnProgress, run_jobs, split
+from evolution.run.evaluators import Evaluator, Job, OnProgress, run_jobs
 from evolution.run.objective import Objective, score
 
 
@@ -46,15 +46,15 @@ def race(
     count = math.ceil(config.race_share * len(genomes))
     first_s = stop_s * len(genomes)
     first_share = first_s / (first_s + (EPISODE_S - stop_s) * count)  # of the work
-    jobs = [Job(chunk, stop_s) for chunk in split(genomes)]
+    jobs = [Job(chunk, stop_s) for chunk in evaluator.split(genomes)]
     results = list(run_jobs(evaluator, encoding, jobs, on_progress, 0.0, first_share))
     columns = zip(*(r.outcomes for r in results), strict=True)
     outcomes = Outcomes(*(np.concatenate(column) for column in columns))
     states = CrawlState.join([r.end for r in results if r.end is not None])
-    ahead = leaders(score(objective, outcomes, -np.inf), count)
-    jobs = [Job(genomes[rows], EPISODE_S, states.rows(rows)) for rows in split(ahead)]
+    ahead = evaluator.split(leaders(score(objective, outcomes, -np.inf), count))
+    jobs = [Job(genomes[rows], EPISODE_S, states.rows(rows)) for rows in ahead]
     finished = run_jobs(evaluator, encoding, jobs, on_progress, first_share)
-    for rows, result in zip(split(ahead), finished, strict=True):
+    for rows, result in zip(ahead, finished, strict=True):
         for name, values in result.outcomes._asdict().items():
             getattr(outcomes, name)[rows] = values
     return outcomes

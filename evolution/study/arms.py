@@ -16,7 +16,7 @@ from typing import Any, Protocol
 from caterpillar_env.errors import CaterpillarError, show
 from caterpillar_env.robot import AnyRobot, Robot
 from evolution.config import RunConfig
-from evolution.run.evaluators import LocalEvaluator
+from evolution.run.evaluators import Evaluator
 from evolution.run.history import History
 from evolution.run.journal import FILE
 from evolution.run.loop import evolve, resume
@@ -43,8 +43,15 @@ class Arm(Protocol):
             CaterpillarError: a setting is invalid.
         """
 
-    def run(self, folder: Path, seed: int, budget_s: float) -> bool:
-        """Run or resume on one thread, and return whether the run finished."""
+    def run(self, folder: Path, seed: int, budget_s: float, evaluator: Evaluator) -> bool:
+        """Run or resume, and return whether the run finished.
+
+        Args:
+            folder: run folder.
+            seed: seed of the run.
+            budget_s: simulated time to spend, s.
+            evaluator: simulates genomes. Apart from it, a run uses one thread.
+        """
 
     def matches(self, history: History, seed: int, budget_s: float) -> bool:
         """Return whether a recorded run has these settings."""
@@ -121,12 +128,12 @@ class EvolutionArm:
         """Return the configuration of one run."""
         return replace(self.config, seed=seed, budget_s=budget_s, generations=_UNLIMITED)
 
-    def run(self, folder: Path, seed: int, budget_s: float) -> bool:
+    def run(self, folder: Path, seed: int, budget_s: float, evaluator: Evaluator) -> bool:
         """Evolve, or resume if there is a journal."""
         if (folder / FILE).exists():
-            return resume(folder, evaluator=LocalEvaluator(1)).finished
+            return resume(folder, evaluator=evaluator).finished
         shutil.rmtree(folder, ignore_errors=True)  # stopped before the journal was created
-        return evolve(self.run_config(seed, budget_s), folder, evaluator=LocalEvaluator(1)).finished
+        return evolve(self.run_config(seed, budget_s), folder, evaluator=evaluator).finished
 
     def matches(self, history: History, seed: int, budget_s: float) -> bool:
         """Return whether the run has the configuration of this arm."""

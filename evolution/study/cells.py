@@ -15,17 +15,17 @@ from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 from caterpillar_env.errors import CaterpillarError
-from evolution.run.evaluators import connect_ray
+from evolution.run.cluster import Cluster, ClusterError, RayEvaluator
+from evolution.run.evaluators import LocalEvaluator
 from evolution.run.journal import read_simulated_s
 from evolution.study.arms import Arm
 from evolution.study.config import Cell, StudyConfig
 from evolution.study.results import read_finished, read_kept
 
 _POLL_S = 0.5
-_Task = tuple[Arm, Path, int, float]  # an arm, and the arguments of `Arm.run`
+_Task = tuple[Arm, Path, int, float]  # an arm, and the first arguments of `Arm.run`
 
 
 class Processes:
@@ -44,8 +44,8 @@ class Processes:
         for process in self._processes:
             process.join()
 
-    def run(self, task: _Task) -> None:
-        """Run a cell to its end.
+    def run(self, task: _Task, cells: int) -> None:
+        """Run a cell, one of `cells` unfinished ones, to its end.
 
         Raises:
             CaterpillarError: the cell raised an error, or its process was killed.
@@ -85,47 +85,42 @@ def _exit_with_parent() -> None:
 class RayTasks:
     """Runs each cell as a task of a Ray cluster, whose machines share the study's folder.
 
+    If there are fewer cells than cores, the genomes of each cell are evaluated on the cluster too.
+
     Args:
-        address: address of the cluster (see `evolution.run.evaluators.connect_ray`).
+        address: address of the cluster (see `evolution.run.cluster.Cluster`).
     """
 
+    count = 1000  #: maximum number of cells that wait for a core at a time; Ray runs one per core
+
     def __init__(self, address: str | None = None) -> None:
-        self._connection = connect_ray(address)
+        self._cluster = Cluster(address)
         self._references: list[object] = []
 
     def __enter__(self) -> RayTasks:
-        self._connection.__enter__()
+        self._cluster.__enter__()
         return self
 
-    def __exit__(self, *exception: Any) -> None:
-        import ray
+    def __exit__(self, *exception: object) -> None:
+        self._cluster.cancel(self._references)
+        self._cluster.__exit__(*exception)
 
-        for reference in self._references:
-            ray.cancel(reference)
-        self._connection.__exit__(*exception)
-
-    @property
-    def count(self) -> int:
-        """Maximum number of cells at a time: the cores of the cluster."""
-        import ray
-
-        return int(ray.cluster_resources().get("CPU", 1))
-
-    def run(self, task: _Task) -> None:
-        """Run a cell to its end.
+    def run(self, task: _Task, cells: int) -> None:
+        """Run a cell, one of `cells` unfinished ones, to its end.
 
         Raises:
+            ClusterError: the cluster was lost.
             CaterpillarError: the cell raised an error, or was cancelled.
         """
-        import ray
-
-        reference = ray.remote(num_cpus=1, max_retries=-1)(_run).remote(*task)
+        share = 1 / cells if cells < self._cluster.cores else None
+        reference = self._cluster.submit(_run, *task, share)
         self._references.append(reference)
         try:
-            ray.get(reference)
-        except ray.exceptions.RayError as error:
-            cause = getattr(error, "cause", error)
-            raise CaterpillarError(f"{type(cause).__name__}: {cause}") from None
+            self._cluster.get(reference)
+        except ClusterError:
+            raise
+        except Exception as error:
+            raise CaterpillarError(f"{type(error).__name__}: {error}") from None
         finally:
             self._references.remove(reference)
 
@@ -149,20 +144,29 @@ def run_study(
 
     Returns:
         The cells that failed, each with its error.
+
+    Raises:
+        ClusterError: the Ray cluster cannot be reached, or was lost.
     """
     cells, kept = config.cells(), read_kept(folder)
     with workers:
         pool = ThreadPoolExecutor(workers.count)
         futures: dict[Future[None], Cell] = {}
         try:
-            for cell in cells:
-                if cell not in kept and read_finished(config, cell, folder) is None:
-                    run = cell.folder(folder).resolve()
-                    task = (config.arms[cell.arm], run, cell.seed, config.budget_s)
-                    futures[pool.submit(workers.run, task)] = cell
+            unfinished = [
+                cell
+                for cell in cells
+                if cell not in kept and read_finished(config, cell, folder) is None
+            ]
+            for cell in unfinished:
+                task = (config.arms[cell.arm], cell.folder(folder).resolve(), cell.seed, config.budget_s)
+                futures[pool.submit(workers.run, task, len(unfinished))] = cell
             pending = set(futures)
             while pending:
-                _, pending = wait(pending, _POLL_S, FIRST_COMPLETED)
+                done, pending = wait(pending, _POLL_S, FIRST_COMPLETED)
+                for future in done:
+                    if isinstance(error := future.exception(), ClusterError):
+                        raise error
                 if on_progress is not None:
                     running = [futures[future].folder(folder) for future in pending]
                     spent = [min(read_simulated_s(run) / config.budget_s, 1.0) for run in running]
@@ -174,6 +178,8 @@ def run_study(
     return [(cell, str(error)) for cell, error in errors.items() if error is not None]
 
 
-def _run(arm: Arm, folder: Path, seed: int, budget_s: float) -> None:
-    if not arm.run(folder, seed, budget_s):
+def _run(arm: Arm, folder: Path, seed: int, budget_s: float, share: float | None = None) -> None:
+    """Run a cell on one thread of this process or, given a share, on that share of its Ray cluster."""
+    evaluator = LocalEvaluator(1) if share is None else RayEvaluator(share=share)
+    if not arm.run(folder, seed, budget_s, evaluator):
         raise CaterpillarError(f"{folder} was interrupted; run the study again to continue")

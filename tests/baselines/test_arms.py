@@ -9,6 +9,7 @@ import pytest
 from baselines.arms import TrainArm
 from baselines.config import TrainConfig, make_configuration
 from caterpillar_env.errors import CaterpillarError
+from evolution.run.evaluators import LocalEvaluator
 from evolution.run.history import History
 from evolution.run.journal import Journal
 from evolution.study.config import Cell, StudyConfig, load, preset
@@ -73,7 +74,7 @@ def test_run_repeats_an_interrupted_training(finished, tmp_path):
         journal.begin()  # a session without an end
     before = History.read(run)
     assert not before.finished
-    assert arm.run(run, 0, 300)
+    assert arm.run(run, 0, 300, LocalEvaluator(1))
     again = History.read(run)
     assert again.finished
     assert [e.distance_m for e in again.evaluations] == [e.distance_m for e in before.evaluations]

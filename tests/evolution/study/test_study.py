@@ -124,7 +124,7 @@ class Waiting:
     def __exit__(self, *_):
         return None
 
-    def run(self, task):
+    def run(self, task, cells):
         self.reported.wait(timeout=20)
 
 
@@ -202,13 +202,20 @@ def test_runs_of_a_study_that_is_killed_end_with_it(tmp_path):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_cells_on_ray_give_the_same_bits(uninterrupted, tmp_path):
-    pytest.importorskip("ray")
+    """First more cells than cores, and then a single one, whose genomes are evaluated on the cluster."""
+    ray = pytest.importorskip("ray")
     config, finished = uninterrupted
-    begin(config, tmp_path / "ray")
-    assert run_study(config, tmp_path / "ray", RayTasks()) == []
-    ours, theirs = collect(config, tmp_path / "ray"), collect(config, finished)
+    begin(config, tmp_path)
+    with ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="ERROR"):
+        assert run_study(config, tmp_path, RayTasks()) == []
+        assert collect(config, tmp_path).table.equals(collect(config, finished).table)
+        last = config.cells()[-1].folder(tmp_path)
+        shutil.rmtree(last)
+        (tmp_path / DATA).unlink()
+        assert run_study(config, tmp_path, RayTasks()) == []
+    ours = collect(config, tmp_path)
     assert not ours.missing
-    assert ours.table.equals(theirs.table)
+    assert ours.table.equals(collect(config, finished).table)
 
 
 # Results
@@ -388,7 +395,7 @@ def test_report_compares_all_winners_on_request(finished, tmp_path, monkeypatch,
 
 def test_runs_in_the_table_are_not_repeated_without_their_folders(finished, tmp_path):
     class Never(Processes):
-        def run(self, task):
+        def run(self, task, cells):
             raise AssertionError("nothing is left to run")
 
     study = tmp_path / "study"
