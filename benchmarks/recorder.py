@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +28,7 @@ class EngineCalls:
     def physics_steps(self) -> int:
         """Number of physics steps, summed over rows."""
         rollouts = (call for step in self.calls for name, call in step if name == "rollout")
-        return sum(call["nstep"] * len(call["ids"]) for call in rollouts)
+        return sum(call["nstep"] * len(call["control"]) for call in rollouts)
 
     def make_batch(self, threads: int) -> Batch:
         """Return a new engine with the same models, in its initial state."""
@@ -56,8 +57,8 @@ def record_calls(simulation: Simulation, step: Step, steps: int) -> EngineCalls:
             return getattr(engine, name)
 
         def rollout(self, *, nstep: int, control: Array, record: Any, ids: Any) -> Any:
-            call = {"nstep": nstep, "control": control.copy(), "record": (), "ids": ids.copy()}
-            recorded.calls[-1].append(("rollout", call))
+            call = {"nstep": nstep, "control": control, "record": (), "ids": ids}
+            recorded.calls[-1].append(("rollout", deepcopy(call)))
             return engine.rollout(nstep=nstep, control=control, record=record, ids=ids)
 
         def reset(self, ids: Any, *, stage: int) -> None:

@@ -253,14 +253,14 @@ class Simulation:
         chosen: Rows | slice = slice(None)  # a slice makes no copies
         if places is not None and len(places) < len(index):
             index, chosen, control = index[places], places, control[places]
+        rows = select(index, len(self.bodies))
         record = self.engine.rollout(
             nstep=control.shape[1],
             control=control,
             record=("sensordata", "qpos") if trace else ("sensordata",),
-            ids=index,
+            ids=None if isinstance(rows, slice) else index,  # MuJoCo checks indices at length
         )
         self.simulated_s += (last - first) * SMA_STEP_S * len(index)
-        rows = select(index, len(self.bodies))
         self._steps[rows] += last - first
         self._sma.enthalpy_j_kg[rows] = springs.enthalpy_j_kg[last - 1, chosen]
         self._sma.fraction[rows] = springs.fraction[last - 1, chosen]
@@ -291,7 +291,8 @@ class Simulation:
         # `reduce` is several times faster than `all` and `any`.
         warned = np.logical_or.reduce(self.engine.warning[chosen, :, 1], axis=1)
         finite = [np.isfinite(field[chosen]) for field in (self._qpos, self._qvel)]
-        diverged: NDArray[np.bool_] = warned | ~np.logical_and.reduce(np.hstack(finite), axis=1)
+        placed, moving = (np.logical_and.reduce(values, axis=1) for values in finite)
+        diverged: NDArray[np.bool_] = warned | ~(placed & moving)
         return diverged
 
     def pose(self, rows: Rows | None = None) -> Pose:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,6 +52,11 @@ class Failure(IntEnum):
 
 
 _MIN_LOAD_N = 1e-6  # below this load, the robot is in the air
+#: Failures in order of increasing severity; the last one counts.
+_CAUSES = (
+    Failure.SAGGED, Failure.VEERED, Failure.VEERED, Failure.JUMPED, Failure.TIPPED, Failure.FLIPPED,
+    Failure.DIVERGED,
+)  # fmt: skip
 _NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # looking up enum members is slow
 
 
@@ -69,6 +75,15 @@ class Thresholds:
     veered_heading_rad: float = np.pi / 4  #: VEERED if the heading is off by more
     veered_lateral_m: float = 0.12  #: VEERED if the centre of mass is off by more (a body length)
     sagged_share: float = 0.05  #: SAGGED if the mean share of the load on the body is higher
+
+    @cached_property
+    def limits(self) -> Array:
+        """Upper limits of the values that `judge` compares, in its order, (7, 1)."""
+        upper = (
+            self.sagged_share, self.veered_heading_rad, self.veered_lateral_m,
+            self.jumped_clearance_m, -self.tipped_up, -self.flipped_up, 0.5,
+        )  # fmt: skip
+        return np.array(upper)[:, None]
 
 
 def judge(
@@ -89,21 +104,13 @@ def judge(
         diverged: whether the integration became unstable, (R,).
         thresholds: thresholds of the failures.
     """
-    up = pose.up[:, 2]
-    causes = (  # in order of increasing severity; the last one counts
-        (Failure.SAGGED, body_load, thresholds.sagged_share),
-        (Failure.VEERED, np.abs(heading_rad), thresholds.veered_heading_rad),
-        (Failure.VEERED, np.abs(lateral_m), thresholds.veered_lateral_m),
-        (Failure.JUMPED, pose.clearance_m, thresholds.jumped_clearance_m),
-        (Failure.TIPPED, -up, -thresholds.tipped_up),
-        (Failure.FLIPPED, -up, -thresholds.flipped_up),
-        (Failure.DIVERGED, diverged, 0.5),
-    )
-    failure = np.zeros(len(up), dtype=np.int8)
-    codes, values, limits = zip(*causes, strict=True)
-    over = np.array(values) > np.array(limits)[:, None]
+    lean = -pose.up[:, 2]
+    heading, lateral = np.abs(heading_rad), np.abs(lateral_m)
+    values = np.array([body_load, heading, lateral, pose.clearance_m, lean, lean, diverged])
+    over = values > thresholds.limits
+    failure = np.zeros(len(lean), dtype=np.int8)
     if over.any():
-        for code, fails in zip(codes, over, strict=True):
+        for code, fails in zip(_CAUSES, over, strict=True):
             failure[fails] = code
     return failure
 
