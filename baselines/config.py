@@ -164,6 +164,28 @@ def make_configuration(config: TrainConfig) -> dict[str, Any]:
     return {"kind": "training", **config.to_dict(), "hyperparameters": hyperparameters(config)._asdict()}
 
 
+def is_evaluated_as_recorded(configuration: Mapping[str, Any], config: TrainConfig) -> bool:
+    """Return whether a journal has the present hyperparameters, except those of the learning itself.
+
+    Args:
+        configuration: configuration from the journal.
+        config: configuration of the same training run.
+    """
+
+    def select(learning: Any) -> Any:
+        model = learning["model"]
+        return (
+            learning["env_kwargs"], learning["normalize"] is None, model["policy"],
+            model.get("policy_kwargs"),
+        )  # fmt: skip
+
+    try:
+        same = select(configuration["hyperparameters"]) == select(hyperparameters(config)._asdict())
+    except (LookupError, TypeError, AttributeError):
+        return False
+    return bool(same)
+
+
 class Training(NamedTuple):
     """A training run and its record.
 
@@ -186,8 +208,8 @@ class Training(NamedTuple):
             raise CaterpillarError(
                 f"{folder} contains an evolutionary run; give a folder that caterpillar rl train made"
             )
-        data = dict(history.configuration)
-        del data["kind"], data["hyperparameters"]
+        names = ("kind", "hyperparameters")
+        data = {k: v for k, v in history.configuration.items() if k not in names}
         return cls(TrainConfig.from_dict(data), history)
 
     def body(self, evaluation: Evaluation) -> Morphology:

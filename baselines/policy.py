@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-import os
+import io
+import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
 from sb3_contrib import ARS, TQC
 from stable_baselines3 import A2C, PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from baselines.config import TrainConfig, Training
+from baselines.config import TrainConfig, Training, hyperparameters, is_evaluated_as_recorded
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.files import write_json
+from caterpillar_env.files import COPY, write_bytes, write_json
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes, digest_of
@@ -29,12 +32,37 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "ppo": PPO, "a2c": A2C, "sac": SAC, "tqc": TQC, "ars": ARS,
 }  # fmt: skip
 Which = Literal["best", "last"]
+_LARGEST_WEIGHT = 1e9  # so that actions are finite
+_LARGEST_HEADER = 10_000  # of an array in a file, bytes; NumPy refuses larger ones too
 
 
 def make_env(config: TrainConfig, **kwargs: Any) -> CaterpillarEnv:
     """Make the evaluation environment, with one robot and no randomization."""
     settings = config.env_kwargs() | kwargs
     return CaterpillarEnv(config.morphology, action_mode=config.mode, **settings)
+
+
+def make_training_env(config: TrainConfig, threads: int = 0) -> CaterpillarVecEnv:
+    """Make the training environment. `threads` is the number of simulation threads; 0 uses all cores."""
+    return CaterpillarVecEnv(
+        config.env_id, hyperparameters(config).n_envs, threads=threads, morphology=config.morphology,
+        randomization=config.randomize, **config.env_kwargs(),
+    )  # fmt: skip
+
+
+def make_model(config: TrainConfig, robots: CaterpillarVecEnv) -> BaseAlgorithm:
+    """Make the algorithm with an untrained policy, wrap its environment, and seed both."""
+    learning = hyperparameters(config)
+    env: Any = VecMonitor(robots)
+    if learning.normalize is not None:
+        env = VecNormalize(env, **learning.normalize)
+    model = ALGORITHMS[config.algorithm](
+        env=env, seed=config.seed, device="cpu", verbose=0, **learning.model
+    )
+    # By default row i gets seed + i, so training runs with adjacent seeds would share rows.
+    seeds = np.random.SeedSequence(config.seed).generate_state(robots.num_envs)
+    robots.seed_rows(seeds.tolist())
+    return model
 
 
 class RandomActor:
@@ -57,36 +85,61 @@ class Policy:
     normalizer: VecNormalize | None
 
     @classmethod
+    def of(cls, model: BaseAlgorithm) -> Policy:
+        """Return the policy of an algorithm, which changes as the algorithm learns."""
+        return cls(model, model.get_vec_normalize_env())
+
+    @classmethod
     def load(cls, path: Path, config: TrainConfig) -> Policy:
-        """Load a policy from the .zip file that `save` wrote. Both of its files can run any code.
+        """Load a policy from the .npz file that `save` wrote. The file holds arrays only, and no code.
+
+        Actions are bit-identical to those of the saved policy.
 
         Raises:
-            CaterpillarError: the file cannot be read.
+            CaterpillarError: the file cannot be read, or holds the arrays of another policy.
         """
-        statistics, normalizer = _statistics(path), None
+        policy = cls.of(make_model(config, make_training_env(config, threads=1)))
+        expected = policy._arrays()
         try:
-            if not path.is_file():
-                raise OSError("there is no such file")
-            model = ALGORITHMS[config.algorithm].load(path, device="cpu")
-            if statistics.is_file():
-                env = CaterpillarVecEnv(config.env_id, 1, **config.env_kwargs())
-                normalizer = VecNormalize.load(str(statistics), env)
-                normalizer.training = False
-        except Exception as error:  # damaged archives and pickles raise errors of many kinds
+            arrays = _read_arrays(path, expected)
+        except Exception as error:  # damaged archives raise errors of many kinds
+            why = str(error) if isinstance(error, (CaterpillarError, OSError)) else "it is damaged"
             raise CaterpillarError(
-                f"cannot read the policy {path}: {type(error).__name__}: {error}"
+                f"cannot read the policy {path}: {why}; restore a copy of it, or train it again"
             ) from None
-        return cls(model, normalizer)
+        normalizer, model = policy.normalizer, policy.actor
+        if normalizer is not None:
+            statistics: Any = normalizer.obs_rms
+            statistics.mean, statistics.var = (arrays.pop(f"observation_{n}") for n in ("mean", "var"))
+            normalizer.training = False
+        assert isinstance(model, BaseAlgorithm)
+        model.policy.load_state_dict({name: torch.from_numpy(a) for name, a in arrays.items()})
+        return policy
 
     def save(self, path: Path) -> None:
-        """Write `NAME.zip` and, if observations are normalized, `NAME_vecnormalize.pkl`."""
-        partial = path.with_name(f".{path.name}.partial")
+        """Write the weights and the normalization of observations as arrays to a .npz file.
+
+        Raises:
+            CaterpillarError: the file cannot be written.
+        """
+        content = io.BytesIO()
+        np.savez(content, allow_pickle=False, **self._arrays())
+        write_bytes(path, content.getvalue(), COPY)
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the content of a file: the weights by name, and mean and variance of observations."""
+        assert isinstance(self.actor, BaseAlgorithm)
+        arrays = {name: weight.numpy() for name, weight in self.actor.policy.state_dict().items()}
         if self.normalizer is not None:
-            self.normalizer.save(str(partial))
-            os.replace(partial, _statistics(path))
-        if isinstance(self.actor, BaseAlgorithm):
-            self.actor.save(partial)
-            os.replace(partial, path)
+            statistics: Any = self.normalizer.obs_rms
+            arrays |= {"observation_mean": statistics.mean, "observation_var": statistics.var}
+        return arrays
+
+    def act(self, observations: Any) -> NDArray[Any]:
+        """Return the most likely actions for observations (R, n) of the environment."""
+        if self.normalizer is not None:
+            observations = self.normalizer.normalize_obs(observations)
+        return self.actor.predict(observations, deterministic=True)[0]
 
     def crawl(
         self,
@@ -100,17 +153,43 @@ class Policy:
         observation, _ = env.reset(seed=seed, options={"morphology": morphology})
         ended = False
         while not ended:
-            batch: Any = observation[None]
-            if self.normalizer is not None:
-                batch = self.normalizer.normalize_obs(batch)
-            action, _ = self.actor.predict(batch, deterministic=True)
-            observation, _, terminated, truncated, _ = env.step(action[0])
+            observation, _, terminated, truncated, _ = env.step(self.act(observation[None])[0])
             ended = terminated or truncated
         return Outcomes.of(env.crawl.progress())
 
 
-def _statistics(path: Path) -> Path:
-    return path.with_name(f"{path.stem}_vecnormalize.pkl")
+def _read_arrays(path: Path, expected: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Read arrays with the names, shapes and types of `expected`.
+
+    Raises:
+        CaterpillarError: the file is missing, or its arrays differ or have invalid values.
+        Exception: the file is damaged.
+    """
+    if not path.is_file():
+        raise CaterpillarError(
+            "there is no such file (earlier versions wrote .zip files, which can run code and are not "
+            "read)"
+        )
+    with zipfile.ZipFile(path) as archive:  # check sizes before anything is read
+        sizes = {info.filename.removesuffix(".npy"): info.file_size for info in archive.infolist()}
+    if sizes.keys() != expected.keys() or any(
+        sizes[name] > array.nbytes + _LARGEST_HEADER for name, array in expected.items()
+    ):
+        raise CaterpillarError("it holds the arrays of another policy")
+    with np.load(path, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in expected}
+    for name, array in arrays.items():
+        if (array.shape, array.dtype) != (expected[name].shape, expected[name].dtype):
+            raise CaterpillarError(
+                f"{name} must be {expected[name].dtype} of shape {expected[name].shape}; got "
+                f"{array.dtype} of shape {array.shape}"
+            )
+        largest = np.inf if name.startswith("observation_") else _LARGEST_WEIGHT
+        if not np.isfinite(array).all() or np.abs(array).max(initial=0.0) > largest:
+            raise CaterpillarError(f"{name} has values that are not finite or are too large")
+    if (arrays.get("observation_var", np.zeros(1)) < 0).any():
+        raise CaterpillarError("observation_var has negative values")
+    return arrays
 
 
 @dataclass(frozen=True)
@@ -141,7 +220,12 @@ class TrainedRobot:
                 "forwards without failing (in that case use --which last)"
             )
         config = training.config
-        policy = Policy.load(folder / f"{which}.zip", config)
+        if not is_evaluated_as_recorded(history.configuration, config):
+            raise CaterpillarError(
+                f"{folder} was trained with other settings of the policy or the environment than those "
+                "in baselines/hyperparams; use the version of this package that trained it"
+            )
+        policy = Policy.load(folder / f"{which}.npz", config)
         return cls(policy, config, training.body(evaluation), config.physics, evaluation.distance_m)
 
     def simulate(
@@ -177,6 +261,6 @@ class TrainedRobot:
         }
 
     def save(self, path: Path) -> None:
-        """Write `to_dict` to a JSON file, and the policy to a .zip file beside it."""
+        """Write `to_dict` to a JSON file, and the policy to a .npz file beside it."""
         write_json(path, self.to_dict())
-        self.policy.save(path.with_suffix(".zip"))
+        self.policy.save(path.with_suffix(".npz"))

@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from baselines.codesign import CoDesign
 from baselines.config import TrainConfig, Training, hyperparameters, make_configuration
-from baselines.policy import ALGORITHMS, Policy, make_env
+from baselines.policy import Policy, make_env, make_model, make_training_env
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import make_folder
@@ -40,10 +38,10 @@ def train(
 ) -> Training:
     """Train a policy and record the training run in a new folder.
 
-    The folder gets a journal, the last policy (`last.zip`, `last_vecnormalize.pkl`), and the best policy
-    (`best.zip`, `best_vecnormalize.pkl`), which belongs to `History.best`. A KeyboardInterrupt ends the
-    training and keeps these files. Training cannot be resumed. PyTorch runs on one thread and all
-    global generators are seeded, so a repeated training run gives identical results.
+    The folder gets a journal, the last policy (`last.npz`), and the best policy (`best.npz`), which
+    belongs to `History.best`. A KeyboardInterrupt ends the training and keeps these files. Training
+    cannot be resumed. PyTorch runs on one thread and all global generators are seeded, so a repeated
+    training run gives identical results.
 
     Args:
         config: configuration of the training run.
@@ -55,10 +53,7 @@ def train(
     Raises:
         CaterpillarError: the folder is not empty or cannot be written, or the budget is too small.
     """
-    robots = CaterpillarVecEnv(
-        config.env_id, hyperparameters(config).n_envs, threads=threads, morphology=config.morphology,
-        randomization=config.randomize, **config.env_kwargs(),
-    )  # fmt: skip
+    robots = make_training_env(config, threads)
     reserve_s = _check_budget(config, robots)
     make_folder(folder, "; training cannot be resumed")
     torch_threads = torch.get_num_threads()
@@ -71,7 +66,7 @@ def train(
             callbacks = [*map(_make_callback, hyperparameters(config).callback), recorder]
             if recorder.designs is not None:
                 callbacks.insert(0, recorder.designs)
-            model = _make_model(config, robots)
+            model = make_model(config, robots)
             try:
                 while True:  # robots that fail use fewer seconds than their steps would
                     steps = max(int((config.budget_s - recorder.spent_s) / robots.vector_env.step_s), 1)
@@ -97,21 +92,6 @@ def _check_budget(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
             f"{reserve_s:g} simulated seconds"
         )
     return reserve_s
-
-
-def _make_model(config: TrainConfig, robots: CaterpillarVecEnv) -> BaseAlgorithm:
-    """Make the algorithm and its environment, and seed both."""
-    learning = hyperparameters(config)
-    env: Any = VecMonitor(robots)
-    if learning.normalize is not None:
-        env = VecNormalize(env, **learning.normalize)
-    model = ALGORITHMS[config.algorithm](
-        env=env, seed=config.seed, device="cpu", verbose=0, **learning.model
-    )
-    # By default row i gets seed + i, so training runs with adjacent seeds would share rows.
-    seeds = np.random.SeedSequence(config.seed).generate_state(robots.num_envs)
-    robots.seed_rows(seeds.tolist())
-    return model
 
 
 def _make_callback(entry: dict[str, dict[str, Any]]) -> BaseCallback:
@@ -164,15 +144,15 @@ class _Recorder(BaseCallback):
         body, genome = self._config.morphology, self._config.morphology.to_unit()
         if self.designs is not None:
             body, genome = self.designs.mean_body, self.designs.mean_genome
-        policy = Policy(self.model, self.model.get_vec_normalize_env())
+        policy = Policy.of(self.model)
         outcome = policy.crawl(self._env, self._config.seed, body)
         history = self._history
         since_s = np.array([self.spent_s - history.simulated_s])
         history.append(genome[None], outcome._replace(simulated_s=since_s))
         history.complete()
         latest = history.evaluations[-1]
-        policy.save(history.folder / "last.zip")
+        policy.save(history.folder / "last.npz")
         if history.best is latest:
-            policy.save(history.folder / "best.zip")
+            policy.save(history.folder / "best.npz")
         if self._on_evaluation is not None:
             self._on_evaluation(history)

@@ -22,11 +22,7 @@ from evolution.cli.running import film
 
 @dataclass(frozen=True)
 class EvalArgs:
-    """Evaluate a trained policy, optionally under different conditions.
-
-    Only evaluate training runs that you trust: the files of a policy (.zip, .pkl) can run any code when
-    they are loaded.
-    """
+    """Evaluate a trained policy, optionally under different conditions."""
 
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of the training run."""

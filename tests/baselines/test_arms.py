@@ -100,7 +100,7 @@ def test_best_robot_is_that_of_the_best_evaluation(finished, tmp_path):
     assert robot.fitness_m == best.distance_m
     assert robot.simulate().distance_m[0] == best.distance_m
     robot.save(tmp_path / "ppo.json")
-    assert {p.suffix for p in tmp_path.iterdir()} == {".json", ".zip", ".pkl"}
+    assert {p.suffix for p in tmp_path.iterdir()} == {".json", ".npz"}
 
 
 def test_arm_takes_the_physics_of_the_base():
