@@ -33,11 +33,15 @@ _PALETTE = (
     "split[a][b];[a]palettegen=max_colors=128:stats_mode=full[p];"
     "[b][p]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
 )
-_FILTERS = {".mp4": [], ".gif": ["-filter_complex", _PALETTE]}
+#: Options of ffmpeg. A loop of 0 repeats a WebP for ever.
+_OPTIONS = {
+    ".mp4": [], ".gif": ["-filter_complex", _PALETTE], ".webp": ["-quality", "60", "-loop", "0"],
+}  # fmt: skip
 #: Arguments of `imageio_ffmpeg.write_frames`. GIF frame times are multiples of 10 ms.
 _ENCODING: dict[str, dict[str, Any]] = {
     ".mp4": {"fps": 25.0, "quality": 7},
     ".gif": {"fps": 12.5, "quality": None, "codec": "gif", "pix_fmt_out": "pal8"},
+    ".webp": {"fps": 12.5, "quality": None, "codec": "libwebp_anim"},
 }
 
 
@@ -116,7 +120,7 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
 
     Args:
         recordings: one or more recorded robots.
-        path: path of the .mp4 or .gif file.
+        path: path of the .mp4, .gif or .webp file.
         config: speed, size and camera.
 
     Raises:
@@ -159,9 +163,9 @@ def open_video(
     """Yield a function that appends a frame to a new video. The file appears when it is complete.
 
     Args:
-        path: path of the .mp4 or .gif file.
+        path: path of the .mp4, .gif or .webp file.
         size: width and height of the frames, pixels.
-        fps: frames per second; by default 25 (.mp4) or 12.5 (.gif).
+        fps: frames per second; by default 25 (.mp4) or 12.5.
         comment: comment in the metadata.
 
     Raises:
@@ -172,7 +176,7 @@ def open_video(
     writer = imageio_ffmpeg.write_frames(
         str(partial), size, macro_block_size=2, **encoding,
         output_params=[
-            "-loglevel", "quiet", *_FILTERS[path.suffix], "-metadata", f"comment={comment}",
+            "-loglevel", "quiet", *_OPTIONS[path.suffix], "-metadata", f"comment={comment}",
         ],
     )  # fmt: skip
     try:
@@ -201,10 +205,10 @@ def check_path(path: Path) -> None:
     """Check that a video can be written to `path`.
 
     Raises:
-        CaterpillarError: the suffix is not .mp4 or .gif, or the folder is missing or not writable.
+        CaterpillarError: the suffix is not one of these, or the folder is missing or not writable.
     """
     if path.suffix not in _ENCODING:
-        raise CaterpillarError(f"a video must be an .mp4 or a .gif file; got {path}")
+        raise CaterpillarError(f"a video must be an .mp4, a .gif or a .webp file; got {path}")
     if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
         raise CaterpillarError(
             f"cannot write {path}: {path.parent} is not a writable folder; choose another with --out"

@@ -40,8 +40,8 @@ class ReplayArgs:
     video: bool = True
     """Write a video."""
     out: Path | None = None
-    """Video file, .mp4 or .gif. By default, replay.mp4 (film.mp4 with --generations) beside the first
-    source."""
+    """Video file, .mp4, .gif or .webp. By default, replay.mp4 (film.mp4 with --generations) beside the
+    first source."""
     picture: VideoConfig = field(default_factory=VideoConfig)
 
     def __post_init__(self) -> None:

@@ -165,6 +165,24 @@ def test_gif_repeats_at_the_same_speed_with_few_colours(recording, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["robot.gif"]
 
 
+def test_webp_repeats_at_the_same_speed_and_is_smaller_than_a_gif(recording, tmp_path):
+    config = VideoConfig(speed=150.0, width=320, height=160)
+    for name in ("robot.webp", "robot.gif"):
+        write_video([recording], tmp_path / name, config)
+    with Image.open(tmp_path / "robot.webp") as image:
+        assert image.size == (320, 160)
+        assert image.info["loop"] == 0
+        lengths_ms, frame = [], 0
+        while sum(lengths_ms) < (4 + 12) * 80:  # n_frames counts merged frames too
+            image.seek(frame)
+            image.load()
+            lengths_ms.append(image.info["duration"])
+            frame += 1
+        assert sum(lengths_ms) == pytest.approx((4 + 12) * 80, abs=160)
+        assert np.asarray(image.convert("RGB")).std() > 10
+    assert (tmp_path / "robot.webp").stat().st_size < (tmp_path / "robot.gif").stat().st_size
+
+
 @pytest.mark.slow
 def test_tiles_lie_side_by_side_and_keep_time(recording, long_and_failed, tmp_path):
     config = VideoConfig(speed=300.0, width=202, height=76)
@@ -250,7 +268,7 @@ def test_impossible_sizes_are_rejected(recording, tmp_path, width):
 
 def test_unknown_file_types_are_rejected(recording):
     with pytest.raises(
-        CaterpillarError, match=r"a video must be an \.mp4 or a \.gif file; got robot\.avi"
+        CaterpillarError, match=r"a video must be an \.mp4, a \.gif or a \.webp file; got robot\.avi"
     ):
         write_video([recording], Path("robot.avi"))
 

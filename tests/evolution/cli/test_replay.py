@@ -148,7 +148,7 @@ def test_last_generation_shows_the_best_robot_of_the_run(run, here, capsys):
     ("arguments", "hint"),
     [
         ([], "give one or more run folders"),
-        (["still.json", "--out", "robot.avi"], "must be an .mp4 or a .gif file; got robot.avi"),
+        (["still.json", "--out", "robot.avi"], "must be an .mp4, a .gif or a .webp file; got robot.avi"),
         (["still.json", "--speed", "0"], "speed = 0.0 must be a positive number"),
         (["still.json", "--camera", "front"], "--camera"),
         (["still.json", "--generations", "0"], "is not a run folder"),
