@@ -62,7 +62,7 @@ def spin(front, push_n=0.0, hinge_n_m=0.0):
     """Return the turned angle (rad), slip (m), load share of the body, and overrun after 0.5 s."""
     model = mujoco.MjModel.from_xml_string(SPINNING.format(front=front))
     control = np.tile([1e-4, push_n, hinge_n_m], (500, 1))
-    qpos, _, slip_m, body_load, overrun = _replay(model, control)
+    qpos, _, slip_m, body_load, overrun = _replay(model, model.qpos0, control)
     return 2 * np.arctan2(qpos[6], qpos[3]), slip_m, body_load, overrun
 
 
