@@ -58,16 +58,17 @@ def build_model(body: Body, physics: Physics, *, scenery: bool = True) -> mujoco
     return ModelBuilder(physics, scenery=scenery).build(body)
 
 
-def model_xml(body: Body, physics: Physics) -> str:
-    """Return a robot with scenery as MJCF, for use in MuJoCo without this package.
+def model_xml(body: Body, physics: Physics, *, scenery: bool = True) -> str:
+    """Return a robot as MJCF, for use in MuJoCo without this package.
 
     For the arguments, see `build_model`. Numbers have full precision, so the XML compiles to the same
     model. Only the ruler's texture and the effect of `trim_tendons` are missing.
     """
-    builder = ModelBuilder(physics)
+    builder = ModelBuilder(physics, scenery=scenery)
     builder.build(body)
     spec: Any = builder.spec
-    remove_ruler_picture(spec)
+    if scenery:
+        remove_ruler_picture(spec)
     spec.compiler.savecompiled = False  # compiled values have fewer digits
     return str(spec.to_xml())
 

@@ -27,7 +27,7 @@ from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError, check_fields
 
 #: Number of temperatures at which each branch is tabulated.
-_NODES = 1025
+NODES = 1025
 _PERIODS = 11  #: periods after which temperatures repeat
 _TEMPERATURES = (-273.15, 2000.0)
 #: Bounds of the parameters: a hundredth and a hundred times a plausible value, or more. Beyond them, the
@@ -141,8 +141,8 @@ class SmaSpring:
 
         The real part of the fractions is the heating branch, the imaginary part the cooling branch.
         """
-        heat_c = np.linspace(self.austenite_start_c, self.austenite_finish_c, _NODES)
-        cool_c = np.linspace(self.martensite_finish_c, self.martensite_start_c, _NODES)
+        heat_c = np.linspace(self.austenite_start_c, self.austenite_finish_c, NODES)
+        cool_c = np.linspace(self.martensite_finish_c, self.martensite_start_c, NODES)
         heat_xi, cool_xi = heating_branch(self, heat_c), cooling_branch(self, cool_c)
         c, latent = self.specific_heat_j_kg_k, self.latent_heat_j_kg
         heat_h, cool_h = c * heat_c + latent * heat_xi, c * cool_c + latent * cool_xi

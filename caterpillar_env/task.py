@@ -51,7 +51,7 @@ class Failure(IntEnum):
         return self.label
 
 
-_MIN_LOAD_N = 1e-6  # below this load, the robot is in the air
+MIN_LOAD_N = 1e-6  #: below this load, the robot is in the air
 #: Failures in order of increasing severity; the last one counts.
 _CAUSES = (
     Failure.SAGGED, Failure.VEERED, Failure.VEERED, Failure.JUMPED, Failure.TIPPED, Failure.FLIPPED,
@@ -324,7 +324,7 @@ class Crawl:
     def _judge(self, index: Rows) -> None:
         pose, chosen = self.simulation.pose(index), self._select(index)
         feet_n, body_n = pose.load_n.T
-        share = body_n / np.maximum(feet_n + body_n, _MIN_LOAD_N)
+        share = body_n / np.maximum(feet_n + body_n, MIN_LOAD_N)
         self._borne_s[chosen] += np.maximum(share, 0.0) * CONTROL_INTERVAL_S
         measured = self._measured[chosen] = self._measure(index, pose)
         _, _, lateral_m, heading_rad, _, body_load = measured.T

@@ -1,8 +1,12 @@
-"""How the documentation is built; nothing is fetched from the network."""
+"""How the documentation is built. Only npm uses the network, for the page in `web/`."""
 
+import runpy
+import shutil
 from importlib.metadata import version as installed_version
+from pathlib import Path
 
 from sphinx.application import Sphinx
+from sphinx.util.logging import getLogger
 
 project = "Caterpillar"
 author = "the authors of Caterpillar"
@@ -41,6 +45,20 @@ def _before_napoleon(
         ]  # else "full: every spring" on the first line is a type and its description
 
 
+_web = runpy.run_path(str(Path(__file__).parents[1] / "web" / "build.py"))
+
+
+def _add_page(app: Sphinx, error: Exception | None) -> None:
+    """Build the page in `web/` and add it to the site."""
+    if error is None and app.tags.has("page"):
+        shutil.copytree(_web["build_page"](), Path(app.outdir, "crawl"), dirs_exist_ok=True)
+
+
 def setup(app: Sphinx) -> None:
     """Connect the above."""
     app.connect("autodoc-process-docstring", _before_napoleon, priority=1)
+    app.connect("build-finished", _add_page)
+    if _web["find_npm"]() is not None:
+        app.tags.add("page")
+    else:
+        getLogger(__name__).info("without Node, the site has no page in which the robot crawls")

@@ -410,6 +410,14 @@ def test_xml_has_the_scenery():
     assert (read.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE).sum() == 8  # legs
 
 
+def test_xml_without_scenery_holds_the_robot_alone():
+    read = mujoco.MjModel.from_xml_string(model_xml(BODY, Physics(), scenery=False))
+    model = build_model(BODY, Physics(), scenery=False)
+    assert (read.ncam, read.nlight, read.ntex, read.ngeom) == (0, 0, 0, model.ngeom)
+    assert read.names == model.names
+    np.testing.assert_array_equal(read.actuator_gainprm, model.actuator_gainprm)
+
+
 def test_xml_and_model_move_identically():
     model = build_model(BODY, Physics())
     read = mujoco.MjModel.from_xml_string(model_xml(BODY, Physics()))

@@ -88,6 +88,8 @@ def test_blocks_have_a_known_language(page):
             "sh",
             "toml",
             "{toctree}",
+            "{only} page",
+            "{only} not page",
             "{eval-rst}",
             "{include} ../CHANGELOG.md",
         ), block

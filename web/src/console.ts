@@ -1,0 +1,56 @@
+import { Crawl, type Progress } from "./crawl";
+import { fromPhases, power, toPhases } from "./gait";
+import { judge } from "./judge";
+import { type MuJoCo, toXml } from "./model";
+import { fromLink, type Robot, toLink, toPython, winners } from "./robot";
+import { decode } from "./search";
+import { seeded, Shade } from "./shade";
+import { Springs } from "./springs";
+
+/** Functions for the console of the browser, as `caterpillar`. The tests compare them with Python. */
+export function makeTools(mujoco: MuJoCo) {
+  return {
+    winners,
+    toXml,
+    toLink,
+    fromLink,
+    toPython,
+    toPhases,
+    fromPhases,
+    power,
+    judge,
+    decode,
+    version: (): string => mujoco.mj_versionString(),
+
+    /** Return the final progress of a robot. */
+    crawl(robot: Robot): Progress {
+      const crawl = new Crawl(mujoco, robot);
+      try {
+        return crawl.finish();
+      } finally {
+        crawl.delete();
+      }
+    },
+
+    /** Return the austenite fractions after each thermal step, (steps, springs), from the powers. */
+    fractions(powers: number[][]): number[][] {
+      const springs = new Springs(powers[0].length);
+      return powers.map((powered) => {
+        springs.step((spring) => powered[spring]);
+        return [...springs.fraction];
+      });
+    },
+
+    /** Return the best fitness of SHADE on a function of genomes after each generation. */
+    maximize(fitness: (genome: number[]) => number, circular: boolean[], generations: number, seed: number): number[] {
+      const shade = new Shade(15, circular, seeded(seed));
+      let best = -Infinity;
+      return Array.from({ length: generations }, () => {
+        const genomes = shade.ask();
+        const values = genomes.map(fitness);
+        shade.tell(genomes, values);
+        return (best = Math.max(best, ...values));
+      });
+    },
+  };
+}
