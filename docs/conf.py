@@ -50,7 +50,7 @@ _web = runpy.run_path(str(Path(__file__).parents[1] / "web" / "build.py"))
 
 def _add_page(app: Sphinx, error: Exception | None) -> None:
     """Build the page in `web/` and add it to the site."""
-    if error is None and app.tags.has("page"):
+    if error is None and app.builder.format == "html" and app.tags.has("page"):
         shutil.copytree(_web["build_page"](), Path(app.outdir, "crawl"), dirs_exist_ok=True)
 
 

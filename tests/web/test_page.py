@@ -1,10 +1,157 @@
-"""The page as a visitor uses it."""
+"""The page computes what Python computes, and does what a visitor asks for. It runs in Chromium.
 
+All tests are in one file, so that one process builds the page.
+"""
+
+import contextlib
+import io
 import re
 
+import mujoco
+import numpy as np
 import pytest
 
+from caterpillar_env import Failure, Morphology, Physics, SmaSpring, simulate
+from caterpillar_env.gait import GaitTimings
+from caterpillar_env.model import ModelBuilder
+from caterpillar_env.physics import SMA_STEP_S
+from caterpillar_env.pose import Pose
+from caterpillar_env.sma import SmaState, advance
+from caterpillar_env.task import Thresholds, judge
+from evolution.genome import Encoding
+
 pytestmark = pytest.mark.slow
+PAIRS, SPRINGS = 6, 4
+CLOSE_M = 1e-6  # 0.001 mm, as the page says
+
+
+def call(page, name, *arguments):
+    return page.evaluate(f"given => caterpillar.{name}(...given)", list(arguments))
+
+
+def draw_gaits(count, seed):
+    rng = np.random.default_rng(seed)
+    return GaitTimings(5.0, 5 * rng.random((count, PAIRS)), 5 * rng.random((count, PAIRS)))
+
+
+def test_models_have_the_same_numbers(page):
+    corners = [np.zeros((1, 8)), np.ones((1, 8)), np.eye(8), 1 - np.eye(8)]  # some with slack springs
+    builder = ModelBuilder(Physics(), scenery=False)
+    for unit in np.concatenate([np.random.default_rng(0).random((20, 8)), *corners]):
+        body = Morphology.from_unit(unit)
+        ours = builder.build(body)
+        theirs = mujoco.MjModel.from_xml_string(call(page, "toXml", body.to_array().tolist()))
+        fields = {name for name in dir(ours) if isinstance(getattr(ours, name), np.ndarray)}
+        assert {"body_inertia", "jnt_stiffness", "qpos_spring", "tendon_length0"} <= fields
+        for name in fields - {"ten_J_rownnz", "ten_J_colind"}:  # trimmed after compilation
+            found, expected = getattr(theirs, name), getattr(ours, name)
+            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15, err_msg=name)
+
+
+def test_fractions_follow_the_same_path(page):
+    rng, spring = np.random.default_rng(1), SmaSpring()
+    gait = GaitTimings(5.0, 5 * rng.random(SPRINGS), 5 * rng.random(SPRINGS)).power(SMA_STEP_S)
+    on = np.ones((600, SPRINGS))  # long enough to reach the cut-off
+    power = np.concatenate([np.tile(gait, (4, 1)), on, 0 * on, rng.random((500, SPRINGS))])
+    expected = advance(spring, SmaState.cold(spring, (SPRINGS,)), power, SMA_STEP_S).fraction
+    assert np.ptp(expected) == 1.0
+    assert np.abs(call(page, "fractions", power.tolist()) - expected).max() < 1e-9
+
+
+def test_gaits_have_the_same_power(page):
+    gaits = draw_gaits(8, 2)
+    for on_s, off_s, expected in zip(gaits.on_s, gaits.off_s, gaits.power(SMA_STEP_S), strict=True):
+        power = call(page, "power", on_s.tolist(), off_s.tolist())
+        np.testing.assert_allclose(power, expected, atol=1e-12)
+
+
+def test_delays_and_duties_mean_the_same(page):
+    gaits = draw_gaits(8, 3)
+    for on_s, off_s, *expected in zip(gaits.on_s, gaits.off_s, *gaits.to_phases(), strict=True):
+        phases = call(page, "toPhases", on_s.tolist(), off_s.tolist())
+        np.testing.assert_allclose([phases["delay"], phases["duty"]], expected, atol=1e-12)
+        times = call(page, "fromPhases", phases)
+        np.testing.assert_allclose([times["onS"], times["offS"]], [on_s, off_s], atol=1e-12)
+
+
+def test_genomes_of_waves_mean_the_same(page):
+    genomes = np.random.default_rng(4).random((8, 12))
+    bodies, timings = Encoding(timing="wave").decode(genomes)
+    for row, (genome, body) in enumerate(zip(genomes, bodies, strict=True)):
+        robot = call(page, "decode", genome.tolist())
+        np.testing.assert_allclose(robot["body"], body.to_array(), rtol=1e-12)
+        # Python rounds times to single precision.
+        np.testing.assert_allclose(robot["onS"], timings.on_s[row], atol=1e-6)
+        np.testing.assert_allclose(robot["offS"], timings.off_s[row], atol=1e-6)
+
+
+def test_failures_have_the_same_names(page):
+    rng, count = np.random.default_rng(5), 300
+    posture = {
+        "up": np.where(rng.random(count) < 0.7, 0.9, rng.uniform(-1, 1, count)),
+        "headingRad": rng.uniform(-1, 1, count),
+        "lateralM": rng.uniform(-0.15, 0.15, count),
+        "clearanceM": rng.uniform(-0.01, 0.006, count),
+        "bodyLoad": rng.uniform(0, 0.06, count),
+        "diverged": rng.random(count) < 0.02,
+    }
+    up, heading_rad, lateral_m, clearance_m, body_load, diverged = posture.values()
+    axis = up[:, None] * [0.0, 0.0, 1.0]
+    pose = Pose(0 * up, 0 * axis, axis, axis, clearance_m, np.zeros((count, 2)))
+    failures = judge(pose, lateral_m, heading_rad, body_load, diverged, Thresholds())
+    expected = [Failure(failure).label for failure in failures]
+    assert set(expected) == {failure.label for failure in Failure}
+    rows = [{name: values[i].item() for name, values in posture.items()} for i in range(count)]
+    assert page.evaluate("rows => rows.map(caterpillar.judge)", rows) == expected
+
+
+def test_winners_crawl_equally_far(page):
+    winners = page.evaluate("caterpillar.winners")[::15]
+    assert len(winners) == 4
+    for winner in winners:
+        end = call(page, "crawl", winner["robot"])
+        assert end["failure"] == "ok"
+        assert end["distanceM"] == pytest.approx(winner["distanceM"], abs=CLOSE_M)
+
+
+def test_random_robots_crawl_equally_far(page):
+    """The robots are not chaotic: a change of the body by 1e-12 moves them by less than 0.001 mm."""
+    rows = np.array([0, 4, 10, 20])  # two of them sag, and one tips over
+    gaits, units = draw_gaits(24, 7), np.random.default_rng(6).random((24, 8))
+    bodies = [Morphology.from_unit(unit) for unit in units[rows]]
+    timings = GaitTimings(5.0, gaits.on_s[rows], gaits.off_s[rows])
+    expected = simulate(bodies, timings, Physics())
+    labels = [Failure(failure).label for failure in expected.failure]
+    assert sorted(labels) == ["ok", "sagged", "sagged", "tipped"]
+    for i, body in enumerate(bodies):
+        on_s, off_s = timings.on_s[i].tolist(), timings.off_s[i].tolist()
+        end = call(page, "crawl", {"body": body.to_array().tolist(), "onS": on_s, "offS": off_s})
+        assert end["failure"] == labels[i]
+        assert end["timeS"] == pytest.approx(expected.simulated_s[i])
+        assert end["distanceM"] == pytest.approx(expected.distance_m[i], abs=CLOSE_M)
+        assert end["energyJ"] == pytest.approx(expected.energy_j[i], rel=1e-9)
+
+
+def test_python_line_repeats_the_robot(page):
+    winner = page.evaluate("caterpillar.winners[20]")
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(call(page, "toPython", winner["robot"]), {})
+    assert f"distance_m=array([{winner['distanceM']:.8f}])" in printed.getvalue()
+
+
+def test_search_maximizes(page):
+    bests = page.evaluate(
+        """() => [0, 1].map((circular) => caterpillar.maximize(
+            (genome) => -genome.reduce((sum, gene) => {
+                const off = Math.abs(gene - (circular ? 0.98 : 0.3));
+                return sum + Math.min(off, circular ? 1 - off : off) ** 2;
+            }, 0), Array(8).fill(Boolean(circular)), 120, 0))"""
+    )
+    for best in bests:
+        assert len(best) == 120
+        assert best[0] < -0.05
+        assert best[-1] > -1e-3
 
 
 def test_link_holds_the_robot(page, visit):

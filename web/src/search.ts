@@ -3,6 +3,7 @@ import data from "./data.json";
 import { fromPhases, waveToPhases } from "./gait";
 import type { Robot } from "./robot";
 import { circularGenes, seeded, Shade } from "./shade";
+import type { Answer } from "./worker";
 
 export const populationSize = 15;
 export const budgetS = 9000; // as in the published study
@@ -41,7 +42,8 @@ class Pool {
   async simulate(robot: Robot): Promise<Progress> {
     const worker = this.idle.pop() ?? (await new Promise<Worker>((resolve) => this.waiting.push(resolve)));
     const progress = await new Promise<Progress>((resolve, reject) => {
-      worker.onmessage = ({ data: done }: MessageEvent<Progress>) => resolve(done);
+      worker.onmessage = ({ data: answer }: MessageEvent<Answer>) =>
+        "error" in answer ? reject(new Error(answer.error)) : resolve(answer.progress);
       worker.onerror = (event) => reject(new Error(event.message));
       worker.postMessage(robot);
     });
