@@ -35,7 +35,9 @@ class ValidateArgs:
 
 def groups(robots: Sequence[Robot], *, quick: bool) -> dict[str, Callable[[], list[Check]]]:
     """Return the groups of checks in the order of the table, without those of gaits and timesteps."""
-    from caterpillar_env.validation import conservation, golden, material, mechanics, robustness
+    from caterpillar_env.validation import (
+        conservation, golden, material, mechanics, robustness, worlds,
+    )  # fmt: skip
 
     return {
         "SMA against closed forms": material.check_closed_forms,
@@ -50,6 +52,10 @@ def groups(robots: Sequence[Robot], *, quick: bool) -> dict[str, Callable[[], li
         "golden trajectories": golden.check_trajectories,
         "failure detectors": lambda: mechanics.check_failures(robots),
         "joint stops": lambda: robustness.check_stops(robots),
+        "worlds": lambda: [
+            *worlds.check_creep(quick=quick),
+            *worlds.check_convergence(quick=quick),
+        ],
     }
 
 

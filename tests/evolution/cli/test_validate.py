@@ -19,7 +19,7 @@ def test_quick_validation_passes_and_writes_plots(tmp_path, capsys):
     failed = [check for found in data.values() for check in found if not check["passed"]]
     assert not failed
     assert status == 0
-    assert len(data) == 11
+    assert len(data) == 12
     assert sum(map(len, data.values())) > 50
     for name in PLOTS:
         assert (tmp_path / "v" / name).stat().st_size > 10_000
