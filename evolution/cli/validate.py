@@ -36,7 +36,12 @@ class ValidateArgs:
 def groups(robots: Sequence[Robot], *, quick: bool) -> dict[str, Callable[[], list[Check]]]:
     """Return the groups of checks in the order of the table, without those of gaits and timesteps."""
     from caterpillar_env.validation import (
-        conservation, golden, material, mechanics, robustness, worlds,
+        conservation,
+        golden,
+        material,
+        mechanics,
+        robustness,
+        worlds,
     )  # fmt: skip
 
     return {
