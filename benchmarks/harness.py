@@ -66,5 +66,6 @@ def report(name: str, rows: list[dict[str, Any]]) -> None:
 
 def _cell(value: Any) -> str:
     if isinstance(value, dict):
-        return f"{value['median']:.3g} ({value['min']:.3g} to {value['max']:.3g})"
+        middle, low, high = value.values()
+        return f"{middle:.3g} ({low:.3g} to {high:.3g})"
     return f"{value:.4g}" if isinstance(value, float) else str(value)

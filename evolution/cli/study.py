@@ -24,7 +24,7 @@ class StudyArgs:
 
     file: Annotated[Path | None, tyro.conf.Positional] = None
     """TOML file with the settings of the study (see docs/study.md)."""
-    preset: Literal["paper", "ablation", "search", "pilot", "rl-pilot"] | None = None
+    preset: Literal["paper", "ablation", "search", "worlds", "pilot", "rl-pilot"] | None = None
     """Use a study of this package instead of a file."""
     out: Path | None = None
     """Study folder to create or continue; by default, studies/NAME for a file or preset of that name."""
@@ -38,8 +38,8 @@ class StudyArgs:
     def __post_init__(self) -> None:
         if (self.file is None) == (self.preset is None):
             raise CaterpillarError(
-                "give either a TOML file or --preset paper, ablation, search, pilot or rl-pilot; got "
-                + ("neither" if self.file is None else "both")
+                "give either a TOML file or --preset paper, ablation, search, worlds, pilot or "
+                f"rl-pilot; got {'neither' if self.file is None else 'both'}"
             )
         if self.processes < 0:
             raise CaterpillarError(f"processes = {self.processes} must not be negative")

@@ -164,7 +164,7 @@ def read_toml(path: Path) -> StudyConfig:
 
 
 def preset(name: str) -> StudyConfig:
-    """Read a study of this package: paper, ablation, search, pilot or rl-pilot."""
+    """Read a study of this package: paper, ablation, search, worlds, pilot or rl-pilot."""
     return read_toml(Path(__file__).with_name("presets") / f"{name}.toml")
 
 

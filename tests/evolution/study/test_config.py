@@ -49,7 +49,9 @@ def test_settings_of_an_arm_are_merged_into_the_base():
     assert arms["cma-es"].config.physics.num_segments == 2
 
 
-@pytest.mark.parametrize(("name", "arms"), [("paper", 2), ("ablation", 29), ("search", 2), ("pilot", 6)])
+@pytest.mark.parametrize(
+    ("name", "arms"), [("paper", 2), ("ablation", 29), ("search", 2), ("worlds", 7), ("pilot", 6)]
+)
 def test_presets_are_complete_and_raise_no_warnings(name, arms):
     config = preset(name)
     assert len(config.arms) == arms

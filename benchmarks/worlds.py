@@ -1,0 +1,190 @@
+"""Robots in different worlds: their distances, the cost of their steps, and the winners of a study.
+
+    python -m benchmarks.worlds scores                 # about five minutes on two cores
+    python -m benchmarks.worlds costs                  # about two minutes
+    python -m benchmarks.worlds matrix studies/worlds  # after caterpillar study --preset worlds
+
+Distances are those in 30 s. Robots that fail count as 0.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from benchmarks.harness import Step, report, spread, time_steps
+from caterpillar_env.arrays import Array
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
+from caterpillar_env.morphology import NAMES, Morphology, segments_of
+from caterpillar_env.physics import SMA_STEP_S, Physics
+from caterpillar_env.robot import Robot, simulate
+from caterpillar_env.task import Crawl
+from caterpillar_env.validation.robots import (
+    evolved_robots,
+    random_robots,
+    stack_power,
+    stack_robots,
+)
+from caterpillar_env.worlds import World
+from evolution.study.arms import EvolutionArm
+from evolution.study.config import Cell, load
+from evolution.study.results import read_finished
+from evolution.study.statistics import bootstrap, holm
+
+WORLDS = (
+    "flat", "slope:angle_deg=5", "slope", "slope:direction=down", "slope:direction=across",
+    "steps:height_m=0.001", "steps", "steps:direction=down", "rough:amplitude_m=0.0015", "rough",
+    "patches",
+)  # fmt: skip
+
+
+def hand_made_robot() -> Robot:
+    """Return the nominal body with a wave from the tail that was designed by hand."""
+    on = np.array([0, 3, 4, 1, 2, 5]) / 6
+    on_s, off_s = (GAIT_PERIOD_S * share for share in (on, (on + 0.2) % 1))
+    return Robot(Morphology(), GaitTimings(GAIT_PERIOD_S, on_s, off_s), Physics())
+
+
+def fitness_mm(robots: Sequence[Robot], world: World) -> Array:
+    """Return the distances of robots in a world, mm, (robots,)."""
+    physics = replace(robots[0].physics, world=world)
+    return 1000 * simulate(*stack_robots(robots), physics).fitness()
+
+
+def compare_scores(count: int, worlds: Sequence[str] = WORLDS) -> None:
+    """Print distances of a hand-made wave, of robots evolved on flat ground, and of random robots."""
+    wave, evolved = hand_made_robot(), evolved_robots()[:count]
+    genomes = random_robots(count, 0, Physics())
+    rows: list[dict[str, Any]] = []
+    for text in worlds:
+        world = World.of(text)
+        (wave_mm,) = fitness_mm([wave], world)
+        evolved_mm, random_mm = fitness_mm(evolved, world), fitness_mm(genomes, world)
+        rows.append(
+            {
+                "world": text,
+                "hand-made wave, mm": float(wave_mm),
+                "evolved on flat ground, median mm": float(np.median(evolved_mm)),
+                "best of them, mm": float(evolved_mm.max()),
+                "random, median mm": float(np.median(random_mm)),
+                "best of them, mm ": float(random_mm.max()),
+            }
+        )
+    report(f"distances: 1, {len(evolved)} and {count} robots", rows)
+
+
+def compare_costs(count: int, repeats: int, worlds: Sequence[str] = WORLDS) -> None:
+    """Print the cost of a gait period of crawling robots, relative to flat ground, on one thread."""
+    bodies, power = stack_power([hand_made_robot()] * count)
+
+    def begin(text: str) -> Step:
+        crawl = Crawl(bodies, Physics(world=World.of(text)), threads=1, stop_on_failure=False)
+        return lambda _: crawl.run(power)
+
+    costs = time_steps({text: lambda text=text: begin(text) for text in worlds}, 3, repeats)
+    steps = count * power.shape[1] * round(SMA_STEP_S / Physics().timestep_s)
+    report(
+        f"cost of a step: {count} robots",
+        [
+            {
+                "world": text,
+                "ratio to flat": spread(cost / costs["flat"]),
+                "us per physics step": spread(1e6 * cost / steps),
+            }
+            for text, cost in costs.items()
+        ],
+    )
+
+
+def compare_winners(folder: Path) -> None:
+    """Print the distances of the best robot of every run of a study in the world of every arm.
+
+    Random worlds are also tested with another seed. A second table has the bodies of these robots.
+    """
+    config = load(folder)
+    winners: dict[str, list[Robot]] = {}
+    for name in config.arms:
+        for seed in config.seeds:
+            history = read_finished(config, Cell(name, seed), folder)
+            if history is not None and (robot := history.best_robot) is not None:
+                winners.setdefault(name, []).append(robot)
+    if not winners:
+        raise CaterpillarError(f"no run of {folder} is finished; continue with caterpillar study")
+    worlds = [arm.config.physics.world for arm in config.arms.values() if isinstance(arm, EvolutionArm)]
+    worlds += [
+        replace(world, seed=world.seed + 1000)  # type: ignore[call-arg]
+        for world in worlds if hasattr(world, "seed")
+    ]  # fmt: skip
+    rows = []
+    for name, robots in winners.items():
+        row: dict[str, Any] = {"evolved on": name, "robots": len(robots)}
+        for world in dict.fromkeys(worlds):
+            row[str(world)] = _interval(fitness_mm(robots, world))
+        rows.append(row)
+    report("median distance in mm, with its 95 % interval", rows)
+    _compare_bodies(winners)
+
+
+def _compare_bodies(winners: dict[str, list[Robot]]) -> None:
+    """Print the median of each body parameter in mm, g or rad, and test whether the arms differ."""
+    values = {
+        name: np.array(
+            [segments_of(robot.morphology, robot.physics.num_segments)[0].to_array() for robot in robots]
+        )
+        for name, robots in winners.items()
+    }
+    tested = len(values) > 1 and min(map(len, values.values())) > 1
+    p = {}
+    for column, gene in enumerate(NAMES):
+        groups = [array[:, column] for array in values.values()]
+        if tested and len(np.unique(np.concatenate(groups))) > 1:
+            p[gene] = float(stats.kruskal(*groups).pvalue)
+    corrected = holm(p)
+    rows = []
+    for column, gene in enumerate(NAMES):
+        scale = 1.0 if gene.endswith("rad") else 1000.0
+        row: dict[str, Any] = {"parameter (mm, g, rad)": gene}
+        row |= {name: _interval(scale * array[:, column]) for name, array in values.items()}
+        rows.append(row | {"Kruskal-Wallis p (Holm)": corrected.get(gene, float("nan"))})
+    report("bodies: median with its 95 % interval", rows)
+
+
+def _interval(values: Array) -> dict[str, float]:
+    """Return the median and its interval by the bootstrap."""
+    estimate = bootstrap(lambda sample: float(np.median(sample)), (values,))
+    return {"median": estimate.value, "low": estimate.low, "high": estimate.high}
+
+
+def main() -> None:
+    """Run one of the comparisons and print its table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    scores = commands.add_parser("scores", help="distances of hand-made, evolved and random robots")
+    scores.add_argument("--robots", type=int, default=100, help="number of random robots")
+    costs = commands.add_parser("costs", help="cost of a step relative to flat ground")
+    costs.add_argument("--robots", type=int, default=8)
+    costs.add_argument("--repeats", type=int, default=5)
+    for command in (scores, costs):
+        command.add_argument("--worlds", nargs="+", default=WORLDS, metavar="WORLD")
+    matrix = commands.add_parser("matrix", help="winners of a study in every world")
+    matrix.add_argument("study", type=Path, help="folder of the study")
+    args = parser.parse_args()
+    if args.command == "scores":
+        compare_scores(args.robots, args.worlds)
+    elif args.command == "costs":
+        compare_costs(args.robots, args.repeats, ["flat", *(w for w in args.worlds if w != "flat")])
+    else:
+        compare_winners(args.study)
+
+
+if __name__ == "__main__":
+    main()
