@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +89,7 @@ def compare_costs(count: int, repeats: int, worlds: Sequence[str] = WORLDS) -> N
         crawl = Crawl(bodies, Physics(world=World.of(text)), threads=1, stop_on_failure=False)
         return lambda _: crawl.run(power)
 
-    costs = time_steps({text: lambda text=text: begin(text) for text in worlds}, 3, repeats)
+    costs = time_steps({text: partial(begin, text) for text in worlds}, 3, repeats)
     steps = count * power.shape[1] * round(SMA_STEP_S / Physics().timestep_s)
     report(
         f"cost of a step: {count} robots",
