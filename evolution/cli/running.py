@@ -112,8 +112,9 @@ def write_results(history: History, console: Console, *, video: bool) -> None:
     from evolution.report import run_page
 
     best, path = history.best_robot, history.folder / "best.mp4"
-    recording = None if best is None else Recording(best)
-    if recording is not None and video and not (path.exists() and is_video_of(path, recording.robot)):
+    recording = None
+    if best is not None and video and not (path.exists() and is_video_of(path, best)):
+        recording = Recording(best)  # the page shows the same one
         film(recording, path, console)
     page = run_page.write(history, recording)
     if best is None:

@@ -186,7 +186,7 @@
     pen.lineCap = "round";
     parts.map(([ends, paint]) => [depth(ends), paint]).sort((a, b) => b[0] - a[0]).forEach(([, paint]) => paint());
     const time = data.duration_s - (last - frame) * data.interval_s, distance = 1000 * (now.x - data.start_m);
-    find("readout").textContent = `${time.toFixed(1)} s   ${distance.toFixed(0)} mm   ${now.energy.toFixed(0)} J`;
+    find("readout").textContent = `${time.toFixed(1)} s   ${Math.round(distance)} mm   ${now.energy.toFixed(0)} J`;
     slider.value = frame;
     play.textContent = playing ? "Pause" : "Play";
   }
