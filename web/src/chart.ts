@@ -1,6 +1,6 @@
 import { budgetS, type Found } from "./search";
 
-const [left, right, top, bottom] = [34, 314, 8, 128];
+const [left, right, top, bottom] = [34, 302, 8, 128];
 const labels = [0, 3000, 6000, 9000];
 
 /** Draw the distance of each robot of a search and the best one so far, over the simulated time. */
