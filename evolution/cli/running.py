@@ -34,7 +34,7 @@ class WorkerArgs:
     evaluator: Literal["local", "ray"] = "local"
     """local: threads of this machine; ray: a Ray cluster."""
     ray_address: str | None = None
-    """Address of a running Ray cluster; by default, a local one is started for the run."""
+    """Address of a running Ray cluster; by default $RAY_ADDRESS, or a local one is started."""
     threads: int = 0
     """Number of threads of the local evaluator; 0 uses all cores."""
     video: bool = True

@@ -33,7 +33,7 @@ class StudyArgs:
     evaluator: Literal["local", "ray"] = "local"
     """local: processes of this machine; ray: a Ray cluster whose machines share the study folder."""
     ray_address: str | None = None
-    """Address of a running Ray cluster; by default, a local one is started for the study."""
+    """Address of a running Ray cluster; by default $RAY_ADDRESS, or a local one is started."""
 
     def __post_init__(self) -> None:
         if (self.file is None) == (self.preset is None):

@@ -41,8 +41,8 @@ class Cluster:
 
     Args:
         address: HOST:PORT of the head of a running cluster, or "auto" for the cluster of this machine.
-            None is the cluster of the Ray job that this process belongs to. Outside of a job, a cluster
-            on this machine is started, and stopped at the end of the context.
+            None is the cluster that the environment variable RAY_ADDRESS names, as in a Ray job. Without
+            this variable, a cluster on this machine is started, and stopped at the end of the context.
     """
 
     def __init__(self, address: str | None = None) -> None:
@@ -78,14 +78,15 @@ class Cluster:
         import ray
         from psutil import Process  # Ray brings it along
 
-        _check_reachable(self._address)
+        # Without "local", Ray would use any cluster that was started on this machine.
+        address = self._address or os.environ.get("RAY_ADDRESS") or "local"
+        _check_reachable(address)
         os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
         before = set(Process().children())
         try:
-            ray.init(self._address, log_to_driver=False, include_dashboard=False, logging_level="ERROR")
+            ray.init(address, log_to_driver=False, include_dashboard=False, logging_level="ERROR")
         except (ConnectionError, ValueError, RuntimeError) as error:
-            where = self._address or "this machine"
-            raise ClusterError(f"no Ray cluster at {where}: {error}") from None
+            raise ClusterError(f"no Ray cluster at {address}: {error}") from None
         self._connected = True
         # Their own children too: without the head, some of Ray's agents would never end.
         for process in set(Process().children()) - before:
@@ -208,16 +209,16 @@ _ADVICE = (
 _RAYLET_LOST = f"the raylet, Ray's process on this machine, has ended. {_ADVICE}"
 
 
-def _check_reachable(address: str | None) -> None:
+def _check_reachable(address: str) -> None:
     """Raise an error if nothing listens at HOST:PORT; Ray would retry for minutes and then abort."""
-    if (address or "").startswith("ray://"):
+    if address.startswith("ray://"):
         raise ClusterError(
             f"the address {address} is that of a Ray Client, which is not supported; give HOST:PORT of "
             "the head, on a machine of the cluster, or use `ray job submit` (see docs/howto/cluster.md)"
         )
-    host, _, port = (address or "").rpartition(":")
+    host, _, port = address.rpartition(":")
     if not port.isdigit():
-        return  # "auto", "local" or None
+        return  # "auto" or "local"
     try:
         socket.create_connection((host, int(port)), timeout=_CONNECT_TIMEOUT_S).close()
     except (OSError, OverflowError) as error:
