@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 import socket
 import threading
 import time
@@ -82,12 +83,14 @@ class Cluster:
         address = self._address or os.environ.get("RAY_ADDRESS") or "local"
         _check_reachable(address)
         os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-        before = set(Process().children())
+        before, on_term = set(Process().children()), signal.getsignal(signal.SIGTERM)
         try:
             ray.init(address, log_to_driver=False, include_dashboard=False, logging_level="ERROR")
-        except (ConnectionError, ValueError, RuntimeError) as error:
+        except Exception as error:  # Ray raises this class itself if a node starts too slowly
             raise ClusterError(f"no Ray cluster at {address}: {error}") from None
         self._connected = True
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, on_term)  # Ray's own handler would end the process at once
         # Their own children too: without the head, some of Ray's agents would never end.
         for process in set(Process().children()) - before:
             self._processes += [process, *process.children(recursive=True)]

@@ -23,6 +23,7 @@ def test_ranks_of_the_advance_are_compared_with_the_simulator(monkeypatch, capsy
     ("arguments", "tables"),
     [
         (["population", "--bodies", "3", "--periods", "2", "--repeats", "1"], 1),
+        (["cluster", "--cores", "2", "--runs", "1", "2", "--seconds", "1", "--scale", "0.01"], 1),
         (["environments", "--repeats", "1", "--single"], 1),
         (["environments", "--repeats", "1", "--envs", "2"], 2),
     ],

@@ -87,6 +87,7 @@ def test_blocks_have_a_known_language(page):
             "python",
             "sh",
             "toml",
+            "dockerfile",
             "{toctree}",
             "{only} page",
             "{only} not page",
