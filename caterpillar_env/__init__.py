@@ -2,7 +2,8 @@
 
 Importing this package registers `CaterpillarSMA-v0` (one step is one gait period) and
 `CaterpillarSMASwitch-v0` (one step switches every spring on or off), each with a native vector
-environment for `gymnasium.make_vec`.
+environment for `gymnasium.make_vec`. Both also exist for other worlds, such as
+`CaterpillarSMA-Rough-v0`, with `Slope`, `Steps`, `Rough` or `Patches` in the name.
 """
 
 from importlib import import_module as _import_module
@@ -12,15 +13,17 @@ import gymnasium as _gymnasium
 
 from caterpillar_env.errors import CaterpillarError
 
-for _id, _mode in (("CaterpillarSMA-v0", "timing"), ("CaterpillarSMASwitch-v0", "switch")):
-    if _id not in _gymnasium.registry:
-        # No step limit: the environment itself truncates after 30 s, for any length of a step.
-        _gymnasium.register(
-            id=_id,
-            entry_point="caterpillar_env.env:CaterpillarEnv",
-            vector_entry_point="caterpillar_env.vector_env:CaterpillarVectorEnv",
-            kwargs={"action_mode": _mode},
-        )
+for _name, _mode in (("CaterpillarSMA", "timing"), ("CaterpillarSMASwitch", "switch")):
+    for _world in ("", "Slope", "Steps", "Rough", "Patches"):
+        _id = f"{_name}-{_world}-v0" if _world else f"{_name}-v0"
+        if _id not in _gymnasium.registry:
+            # No step limit: the environment itself truncates after 30 s, for any length of a step.
+            _gymnasium.register(
+                id=_id,
+                entry_point="caterpillar_env.env:CaterpillarEnv",
+                vector_entry_point="caterpillar_env.vector_env:CaterpillarVectorEnv",
+                kwargs={"action_mode": _mode} | ({"world": _world.lower()} if _world else {}),
+            )
 
 _LAZY = {
     "CaterpillarEnv": "env",

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from caterpillar_env.errors import CaterpillarError, check_fields, check_number, show
+from caterpillar_env.faults import Faults
 from caterpillar_env.gait import MAX_STEPS
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
@@ -47,6 +48,7 @@ class EpisodeConfig:
     failure_cost: float
     reset_noise_scale: float
     randomization: Randomization | None
+    faults: Faults | None
     terminate_on_failure: bool
 
     def __post_init__(self) -> None:
@@ -58,6 +60,11 @@ class EpisodeConfig:
             )
         if self.randomization is not None:
             self.randomization.check(self.physics)
+        if self.faults is not None and self.faults.springs > self.physics.num_springs:
+            raise CaterpillarError(
+                f"faults of {self.faults.springs} springs need a robot with as many; this one has "
+                f"{self.physics.num_springs}"
+            )
 
     @classmethod
     def of(cls, arguments: Mapping[str, Any]) -> EpisodeConfig:
@@ -67,6 +74,7 @@ class EpisodeConfig:
         if (world := arguments.get("world")) is not None:
             chosen["physics"] = replace(chosen["physics"], world=World.of(world))
         chosen["randomization"] = Randomization.of(chosen["randomization"])
+        chosen["faults"] = Faults.of(chosen["faults"])
         return cls(**chosen)
 
 

@@ -14,6 +14,7 @@ from caterpillar_env.arguments import ActionMode, EpisodeConfig, check_options
 from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.episodes import Episodes, EpisodeState, WithSpec, make_generator
 from caterpillar_env.errors import CaterpillarError, show
+from caterpillar_env.faults import Faults
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
@@ -54,6 +55,7 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
             to this many cm.
         randomization: ranges of the conditions to sample at each reset: a mapping from fields of
             `Randomization` to lower and upper bounds.
+        faults: springs that fail in each episode: a number, or a mapping of fields of `Faults`.
         terminate_on_failure: whether a failure ends the episode. A divergence always does.
         render_mode: None or "rgb_array". With pygame, `gymnasium.make` shows "human" in a window.
         width: width of the frames, pixels.
@@ -92,6 +94,7 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         failure_cost: float = 5.0,
         reset_noise_scale: float = 0.0,
         randomization: Randomization | Mapping[str, Any] | None = None,
+        faults: Faults | Mapping[str, Any] | int | None = None,
         terminate_on_failure: bool = True,
         render_mode: str | None = None,
         width: int = 640,
@@ -205,6 +208,8 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
 
 def _scalars(info: dict[str, NDArray[Any]]) -> dict[str, Any]:
     """Return the values of the only robot."""
-    scalars: dict[str, Any] = {key: value.item() for key, value in info.items()}
+    scalars: dict[str, Any] = {
+        key: value.item() if value.ndim == 1 else value[0] for key, value in info.items()
+    }
     scalars["failure"] = Failure(scalars["failure"])
     return scalars

@@ -47,6 +47,8 @@ class EpisodeState(NamedTuple):
     conditions: tuple[Conditions | None, ...]  #: drawn at reset, (R,)
     crawl: CrawlState
     intervals: NDArray[np.int64]  #: control intervals since reset, (R,)
+    kept: Array  #: share of the power that each spring keeps after its failure, (R, springs)
+    fault_step: NDArray[np.int64]  #: thermal step of the failure, (R,)
     generators: tuple[dict[str, Any] | None, ...]  #: state of each random generator, (R,)
 
     def rows(self, index: Sequence[int] | Rows) -> EpisodeState:
@@ -57,8 +59,9 @@ class EpisodeState(NamedTuple):
             for values in (self.bodies, self.conditions, self.generators)
         )
         return EpisodeState(
-            bodies, conditions, self.crawl.rows(chosen), self.intervals[chosen], generators
-        )
+            bodies, conditions, self.crawl.rows(chosen), self.intervals[chosen], self.kept[chosen],
+            self.fault_step[chosen], generators,
+        )  # fmt: skip
 
 
 class Episodes:
@@ -84,6 +87,8 @@ class Episodes:
         self._clock_s = None if periodic else config.gait_period_s
         self._scaled_bodies = np.zeros((len(bodies), len(NAMES)))  # in [-1, 1], as observed
         self._intervals = np.zeros(len(bodies), dtype=np.int64)  # since reset
+        self._kept = np.ones((len(bodies), physics.num_springs))
+        self._fault_step = np.zeros(len(bodies), dtype=np.int64)
 
         self.action_space: spaces.Box | spaces.MultiBinary
         if periodic:
@@ -130,12 +135,16 @@ class Episodes:
         conditions = None
         if config.randomization is not None:
             conditions = [config.randomization.draw(physics, g) for g in generators]
+        if config.faults is not None:
+            for row, g in zip(rows, generators, strict=True):
+                self._kept[row], self._fault_step[row] = config.faults.draw(physics.num_springs, g)
         self.crawl.reset(bodies, rows, conditions=conditions, offset=offset)
         self._scale_bodies(rows)
         self._intervals[rows] = 0
         state, start = self.crawl.simulation.state(rows), self.crawl.progress(rows)
         zeros = np.zeros(len(rows))
-        return self._observe(rows, state, start), _info(state, start, start, zeros, zeros, zeros)
+        info = _info(state, start, start, zeros, zeros, zeros) | self._fault_info(rows)
+        return self._observe(rows, state, start), info
 
     def get_state(self, rows: Rows, generators: Sequence[np.random.Generator | None]) -> EpisodeState:
         """Return the state of robots. For the arguments, see `reset`."""
@@ -145,6 +154,8 @@ class Episodes:
             tuple(simulation.conditions[row] for row in rows),
             self.crawl.get_state(rows),
             self._intervals[rows],
+            self._kept[rows],
+            self._fault_step[rows],
             tuple(None if g is None else dict(g.bit_generator.state) for g in generators),
         )
 
@@ -164,6 +175,7 @@ class Episodes:
         self.crawl.set_state(state.crawl, rows)
         self._scale_bodies(rows)
         self._intervals[rows] = state.intervals
+        self._kept[rows], self._fault_step[rows] = state.kept, state.fault_step
 
     def _scale_bodies(self, rows: Rows) -> None:
         self._scaled_bodies[rows] = [2.0 * self.morphology(row).to_unit() - 1.0 for row in rows]
@@ -184,7 +196,12 @@ class Episodes:
         config, before = self.config, self.crawl.progress(rows)
         # The last gait period of an episode may be cut short.
         left = np.minimum(self._limit - self._intervals[rows], self._step_intervals)
-        self.crawl.run(self._power(actions), rows, on_interval, intervals=left)
+        power = self._power(actions)
+        if config.faults is not None:
+            number = self._intervals[rows, None] * STEPS_PER_INTERVAL + np.arange(power.shape[1])
+            broken = number >= self._fault_step[rows, None]
+            power = power * np.where(broken[..., None], self._kept[rows, None], 1.0)
+        self.crawl.run(power, rows, on_interval, intervals=left)
         self._intervals[rows] += left
         after = self.crawl.progress(rows)
 
@@ -197,9 +214,16 @@ class Episodes:
         terminated = failed if config.terminate_on_failure else diverged
         state = self.crawl.simulation.state(rows)
         truncated = ~terminated & (self._intervals[rows] >= self._limit)
-        info = _info(state, before, after, forward, ctrl, failure)
+        info = _info(state, before, after, forward, ctrl, failure) | self._fault_info(rows)
         observation = self._observe(rows, state, after)
         return observation, forward + ctrl + failure, terminated, truncated, info
+
+    def _fault_info(self, rows: Rows) -> dict[str, NDArray[Any]]:
+        """Return the share of the drive power that each spring gets now, (R, springs), with faults."""
+        if self.config.faults is None:
+            return {}
+        failed = self._intervals[rows] * STEPS_PER_INTERVAL >= self._fault_step[rows]
+        return {"spring_power": np.where(failed[:, None], self._kept[rows], 1.0)}
 
     def check_actions(self, actions: Any, count: int) -> Array:
         """Return the actions of `count` robots as an array with one row per robot.

@@ -18,6 +18,7 @@ from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.episodes import Episodes, EpisodeState, WithSpec, make_generator
 from caterpillar_env.errors import CaterpillarError, check_number, show
+from caterpillar_env.faults import Faults
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
@@ -76,6 +77,7 @@ class CaterpillarVectorEnv(
         failure_cost: float = 5.0,
         reset_noise_scale: float = 0.0,
         randomization: Randomization | Mapping[str, Any] | None = None,
+        faults: Faults | Mapping[str, Any] | int | None = None,
         terminate_on_failure: bool = True,
         threads: int = 0,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -252,7 +254,7 @@ class CaterpillarVectorEnv(
         """Write rows of `new` into full-length arrays of `info`, with Gymnasium's `_key` masks."""
         for key, values in new.items():
             if key not in info:
-                info[key] = np.zeros(self.num_envs, dtype=values.dtype)
+                info[key] = np.zeros((self.num_envs, *values.shape[1:]), dtype=values.dtype)
                 info[f"_{key}"] = np.zeros(self.num_envs, dtype=bool)
             info[key][rows] = values
             info[f"_{key}"][rows] = True

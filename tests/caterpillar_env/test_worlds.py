@@ -244,6 +244,16 @@ def test_environments_take_a_world():
         gymnasium.make("CaterpillarSMA-v0", world="moon")
 
 
+@pytest.mark.parametrize("name", ["Slope", "Steps", "Rough", "Patches"])
+def test_worlds_have_ids(name):
+    for mode in ("", "Switch"):
+        env = gymnasium.make(f"CaterpillarSMA{mode}-{name}-v0")
+        assert env.unwrapped.crawl.physics.world == World.of(name.lower())
+        assert isinstance(env.action_space, gymnasium.spaces.MultiBinary) == bool(mode)
+    envs = gymnasium.make_vec(f"CaterpillarSMA-{name}-v0", 2, threads=1)
+    assert str(envs.unwrapped.crawl.physics.world) == name.lower()
+
+
 def test_observed_height_is_above_the_local_ground():
     env = gymnasium.make("CaterpillarSMA-v0", world="steps:height_m=0.01,spacing_m=0.5")
     observation, _ = env.reset(seed=0)
