@@ -26,6 +26,8 @@ def test_ranks_of_the_advance_are_compared_with_the_simulator(monkeypatch, capsy
         (["cluster", "--cores", "2", "--runs", "1", "2", "--seconds", "1", "--scale", "0.01"], 1),
         (["environments", "--repeats", "1", "--single"], 1),
         (["environments", "--repeats", "1", "--envs", "2"], 2),
+        (["worlds", "scores", "--robots", "2", "--worlds", "flat", "steps"], 1),
+        (["worlds", "costs", "--robots", "1", "--repeats", "1", "--worlds", "rough"], 1),
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, list) else "",
 )

@@ -283,6 +283,16 @@ def test_run_without_evaluations_has_a_page(tmp_path):
     assert number(page, "evaluations") == 0
 
 
+def test_a_page_names_the_world(tmp_path):
+    for number, world in enumerate(("flat", "slope:angle_deg=3.0")):
+        config = replace(CONFIG, physics=replace(CONFIG.physics, world=world))
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        with Journal.create(folder, {**config.to_dict(), "own_optimizer": None}) as journal:
+            journal.begin()
+        assert ("in the world slope:angle_deg=3.0." in read_page(folder)) == (number == 1)
+
+
 # caterpillar report
 
 
