@@ -66,7 +66,7 @@ class World:
         Raises:
             CaterpillarError: the kind or a field is unknown, or a value is invalid.
         """
-        if isinstance(value, World):
+        if isinstance(value, World) and type(value) is not World:
             return value
         given = _parse(value) if isinstance(value, str) else value
         if not isinstance(given, Mapping):

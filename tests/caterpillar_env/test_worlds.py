@@ -45,6 +45,7 @@ def test_worlds_are_flat_by_default():
         ("hill", "kind of world must be one of flat, slope, steps, rough, patches; got 'hill'"),
         ({}, "kind of world must be .* got None"),
         ({"kind": ["slope"]}, "kind of world must be .* got "),
+        (World(), "world must be one of flat, slope, steps, rough, patches; got World"),
         (3, "world must be one of flat, slope, steps, rough, patches; got 3"),
         ("slope:tilt=3", "world slope has no tilt; its fields are angle_deg, direction, kind"),
         ("slope:10", "must be a kind, or a kind with fields, such as 'slope:angle_deg=5"),
