@@ -6,7 +6,9 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
+
+import polars
 
 from baselines.config import TrainConfig, make_configuration
 from baselines.policy import TrainedRobot
@@ -26,6 +28,7 @@ class TrainArm:
     """
 
     config: TrainConfig
+    restorable: ClassVar[bool] = False
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], base: Mapping[str, Any]) -> TrainArm:
@@ -51,6 +54,10 @@ class TrainArm:
         """Return whether a recorded run has the settings and hyperparameters of this arm."""
         expected = make_configuration(self._configure(seed, budget_s))
         return history.configuration == expected
+
+    def restore(self, rows: polars.DataFrame, folder: Path, seed: int, budget_s: float) -> None:
+        """Raise an error: the evaluations of a training run do not contain its policies."""
+        raise NotImplementedError
 
     def robot(self, folder: Path, evaluation: int) -> TrainedRobot:
         """Return the robot of the best evaluation. Other evaluations have no stored policy."""

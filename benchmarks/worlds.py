@@ -36,7 +36,7 @@ from caterpillar_env.validation.robots import (
 from caterpillar_env.worlds import World
 from evolution.study.arms import EvolutionArm
 from evolution.study.config import Cell, load
-from evolution.study.results import read_finished
+from evolution.study.results import read_run
 from evolution.study.statistics import bootstrap, holm
 
 WORLDS = (
@@ -113,8 +113,10 @@ def compare_winners(folder: Path) -> None:
     winners: dict[str, list[Robot]] = {}
     for name in config.arms:
         for seed in config.seeds:
-            history = read_finished(config, Cell(name, seed), folder)
-            if history is not None and (robot := history.best_robot) is not None:
+            history = read_run(config, Cell(name, seed), folder)
+            if history is None or not history.finished:
+                continue
+            if (robot := history.best_robot) is not None:
                 winners.setdefault(name, []).append(robot)
     if not winners:
         raise CaterpillarError(f"no run of {folder} is finished; continue with caterpillar study")

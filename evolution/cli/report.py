@@ -16,7 +16,7 @@ from evolution.cli.running import write_results
 from evolution.run.history import History
 from evolution.run.journal import FILE as JOURNAL
 from evolution.study.config import SETTINGS, load
-from evolution.study.results import collect, read_thresholds
+from evolution.study.results import collect
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class ReportArgs:
     """For a run: vary two genes of the best robot, and plot the distances in landscape.png. This takes
     about as long as 625 evaluations."""
     all_winners: bool = False
-    """For a study: simulate the best robot of every evolution run again at a timestep of 0.25 ms, with
-    the default integrator and with Runge-Kutta. This takes half a minute per robot on one core."""
+    """For a study: simulate the best robot of every evolution run again with finer settings, other
+    friction and other springs, and measure how it crawls. This takes a minute per robot on one core."""
 
 
 def report_command(argv: Sequence[str]) -> int:
@@ -75,7 +75,7 @@ def write_report(folder: Path, *, all_winners: bool = False) -> None:
     """Write the report of a study, and print its results."""
     from evolution.study import report
     from evolution.study.analysis import analyse, summarize
-    from evolution.study.winners import compare_winners, find_winners
+    from evolution.study.winners import judge_winners
 
     config = load(folder)
     results = collect(config, folder)
@@ -84,14 +84,14 @@ def write_report(folder: Path, *, all_winners: bool = False) -> None:
             f"no run of {folder} is finished yet; continue with caterpillar study, or see caterpillar "
             f"runs {folder}"
         )
-    analysis = analyse(config, results, read_thresholds(config, folder, results.table))
-    compared = compare_winners(analysis, folder) if all_winners else []
-    page = report.write(analysis, find_winners(analysis, folder), folder, compared)
+    analysis = analyse(config, results)
+    judgement = judge_winners(analysis, folder, every_run=all_winners)
+    page = report.write(analysis, judgement, folder)
     print("\n".join(summarize(analysis)))
-    for arm in compared:
+    for row in judgement.comparisons:
         print(
-            f"{arm.arm}, {arm.reference}: {arm.failed} of {arm.robots} winners fail; the distance of "
-            f"others changes by {100 * arm.median_change:.1f} % (median) and at most "
-            f"{100 * arm.largest_change:.1f} %"
+            f"{row.arm}, {row.condition}: {row.failed} of {row.robots} winners fail; the others crawl "
+            f"{100 * row.median_share:.0f} % of their distance (median; {100 * row.smallest_share:.0f} "
+            f"to {100 * row.largest_share:.0f} %)"
         )
     print(f"written: {page}", file=sys.stderr)

@@ -16,6 +16,7 @@ from evolution.cli.report import write_report
 from evolution.cli.running import check_address
 from evolution.study.cells import Processes, RayTasks, run_study
 from evolution.study.config import begin, preset, read_toml
+from evolution.study.results import collect
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,9 @@ class StudyArgs:
 
     file: Annotated[Path | None, tyro.conf.Positional] = None
     """TOML file with the settings of the study (see docs/study.md)."""
-    preset: Literal["paper", "ablation", "search", "worlds", "pilot", "rl-pilot"] | None = None
+    preset: (
+        Literal["paper", "ablation", "search", "conjecture", "worlds", "pilot", "rl-pilot"] | None
+    ) = None
     """Use a study of this package instead of a file."""
     out: Path | None = None
     """Study folder to create or continue; by default, studies/NAME for a file or preset of that name."""
@@ -38,8 +41,8 @@ class StudyArgs:
     def __post_init__(self) -> None:
         if (self.file is None) == (self.preset is None):
             raise CaterpillarError(
-                "give either a TOML file or --preset paper, ablation, search, worlds, pilot or "
-                f"rl-pilot; got {'neither' if self.file is None else 'both'}"
+                "give either a TOML file or --preset paper, ablation, search, conjecture, worlds, pilot "
+                f"or rl-pilot; got {'neither' if self.file is None else 'both'}"
             )
         if self.processes < 0:
             raise CaterpillarError(f"processes = {self.processes} must not be negative")
@@ -75,6 +78,7 @@ def study_command(argv: Sequence[str]) -> int:
 
             failed = run_study(config, folder, workers, show)
     except KeyboardInterrupt:
+        collect(config, folder)
         console.print(f"stopped; continue with: caterpillar study {' '.join(argv)}")
         return 130
     for cell, error in failed:

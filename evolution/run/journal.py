@@ -43,7 +43,7 @@ from evolution.run.database import (
 
 FILE = "journal.sqlite"
 _PACKAGES = ("caterpillar-sma", "mujoco", "numpy", "scipy", "cma")
-_FAILURES = {failure.label: failure for failure in Failure}
+FAILURES = {failure.label: failure for failure in Failure}  #: by the name in tables
 
 
 class Evaluation(NamedTuple):
@@ -264,7 +264,7 @@ class Journal:
             try:
                 genes = np.frombuffer(genome, dtype="<f8").astype(np.float64)
                 valid = len(sizes) == 1 and math.isfinite(sum(numbers))
-                evaluation = Evaluation(number, generation, genes, _FAILURES[failure], *numbers)
+                evaluation = Evaluation(number, generation, genes, FAILURES[failure], *numbers)
             except (TypeError, ValueError, KeyError):
                 valid = False
             if not valid:

@@ -2,41 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from caterpillar_env.arrays import Array
 from evolution.study import statistics
 from evolution.study.config import Cell, StudyConfig
-from evolution.study.results import Results, Run, read_runs
+from evolution.study.results import Results, read_runs
 from evolution.study.statistics import Estimate
+from evolution.study.times import Runs, Threshold, Times, compare, find_speed_ups, find_times
 
 TARGETS = 50
 
-Arrivals = tuple[Array, NDArray[np.bool_]]
-G = TypeVar("G")
-T = TypeVar("T")
-
-
-class Times(NamedTuple):
-    """Simulated times at which the runs of an arm reach a threshold."""
-
-    arm: str
-    runs: int
-    reached: int
-    median_s: Estimate  #: Kaplan-Meier
-    running_time_s: Estimate  #: ERT
-    speed_up: Estimate | None  #: ratio of ERTs, reference to arm; None for the reference
-    log_rank_p: float | None  #: against the reference, corrected over the arms (Holm)
-
 
 class Finals(NamedTuple):
-    """Best distances of the runs of an arm when their budget is spent."""
+    """Best distances of the runs of an arm when the budget of all arms is spent."""
 
     arm: str
     runs: int
@@ -48,11 +32,13 @@ class Finals(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """Median best distance of an arm at a generation, relative to the reference."""
+    """Best distances of an arm after some generations."""
 
     arm: str
-    runs: int  #: number of runs that completed this generation within the budget
-    ratio: Estimate  #: ratio of the medians, arm to reference
+    runs: int  #: number of runs that completed these generations within the budget
+    median_m: Estimate
+    ratio: Estimate | None  #: ratio of the medians, arm to reference
+    a12: Estimate | None  #: against the reference
 
 
 @dataclass(frozen=True)
@@ -61,71 +47,49 @@ class Analysis:
 
     config: StudyConfig
     missing: Sequence[Cell]  #: runs that are not finished
-    thresholds_m: list[float] | None  #: None until all pilot runs are finished
-    runs: dict[str, list[Run]]  #: finished runs by arm, without pilot runs
-    times: dict[float, list[Times]]  #: by threshold (m)
+    runs: Runs  #: finished runs by arm
+    times: dict[Threshold, list[Times]]
     finals: list[Finals]
-    gains: list[Gain]
+    gains: dict[int, list[Gain]]  #: by number of generations
+    speed_ups: dict[str, list[tuple[float, Estimate]]]  #: by arm, with thresholds in m
     ecdf: dict[str, Array]  #: share of (run, target) pairs reached at each time of `grid_s`
     grid_s: Array
 
 
-def analyse(config: StudyConfig, results: Results, thresholds_m: list[float] | None) -> Analysis:
+def analyse(config: StudyConfig, results: Results) -> Analysis:
     """Compare the arms, using their finished runs only."""
-    found = read_runs(results.table, config, config.seeds)
-    runs = {arm: arm_runs for arm, arm_runs in found.items() if arm_runs}
+    runs = {arm: found for arm, found in read_runs(results.table, config).items() if found}
     grid_s = np.linspace(0.0, config.budget_s, 201)
-    best_m = max((run.best_m[-1] for arm_runs in runs.values() for run in arm_runs), default=1.0)
+    best_m = max((run.best_m[-1] for found in runs.values() for run in found), default=1.0)
     targets_m = np.linspace(0.02, 1.0, TARGETS) * best_m
+    thresholds = [Threshold(value) for value in config.thresholds_m]
+    if not thresholds:
+        thresholds = [Threshold(generations=count) for count in config.generations]
+    gains = {count: _gains(config, runs, count) for count in config.generations}
     return Analysis(
         config=config,
         missing=results.missing,
-        thresholds_m=thresholds_m,
         runs=runs,
-        times={threshold: _times(config, runs, threshold) for threshold in thresholds_m or []},
+        times={threshold: find_times(config, runs, threshold) for threshold in thresholds},
         finals=_finals(config, runs),
-        gains=_gains(config, runs),
+        gains={count: rows for count, rows in gains.items() if rows},
+        speed_ups=find_speed_ups(config, runs),
         ecdf={
             arm: statistics.target_ecdf(
-                np.array([[run.time_to(t) for t in targets_m] for run in arm_runs]), grid_s
+                np.array([[run.time_to(t) for t in targets_m] for run in found]), grid_s
             )
-            for arm, arm_runs in runs.items()
+            for arm, found in runs.items()
         },
         grid_s=grid_s,
     )
 
 
-def arrivals(runs: Sequence[Run], threshold_m: float, budget_s: float) -> Arrivals:
-    """Return each run's time (s) to a threshold or to the end of its budget, (n,).
-
-    The second array, (n,), is True where a run reached the threshold.
-    """
-    times = np.array([run.time_to(threshold_m) for run in runs])
-    return np.minimum(times, budget_s), np.isfinite(times)
-
-
-def _times(config: StudyConfig, runs: dict[str, list[Run]], threshold_m: float) -> list[Times]:
-    groups = {arm: arrivals(found, threshold_m, config.budget_s) for arm, found in runs.items()}
-    speed_up = _compare(config, groups, _speed_up)
-    log_rank = statistics.holm(_compare(config, groups, lambda a, b: statistics.log_rank(*a, *b)))
-    return [
-        Times(
-            arm=arm,
-            runs=len(time),
-            reached=int(reached.sum()),
-            median_s=statistics.kaplan_meier(time, reached).median,
-            running_time_s=statistics.bootstrap(statistics.expected_running_time, (time, reached)),
-            speed_up=speed_up.get(arm),
-            log_rank_p=log_rank.get(arm),
-        )
-        for arm, (time, reached) in groups.items()
-    ]
-
-
-def _finals(config: StudyConfig, runs: dict[str, list[Run]]) -> list[Finals]:
-    final_m = {arm: np.array([run.best_m[-1] for run in found]) for arm, found in runs.items()}
-    a12 = _compare(config, final_m, statistics.a12)
-    p = statistics.holm(_compare(config, final_m, lambda a, b: float(stats.mannwhitneyu(a, b).pvalue)))
+def _finals(config: StudyConfig, runs: Runs) -> list[Finals]:
+    final_m = {
+        arm: np.array([run.best_at(config.budget_s) for run in found]) for arm, found in runs.items()
+    }
+    a12 = compare(config, final_m, statistics.a12)
+    p = statistics.holm(compare(config, final_m, lambda a, b: float(stats.mannwhitneyu(a, b).pvalue)))
     rows = []
     for arm, values in final_m.items():
         failures = np.concatenate([run.failure for run in runs[arm]])
@@ -133,7 +97,7 @@ def _finals(config: StudyConfig, runs: dict[str, list[Run]]) -> list[Finals]:
             Finals(
                 arm=arm,
                 runs=len(values),
-                median_m=statistics.bootstrap(lambda x: float(np.median(x)), (values,)),
+                median_m=statistics.bootstrap(_median, (values,)),
                 best_m=float(values.max()),
                 failed=float(np.mean(failures != "ok")),
                 a12=a12.get(arm),
@@ -143,34 +107,26 @@ def _finals(config: StudyConfig, runs: dict[str, list[Run]]) -> list[Finals]:
     return rows
 
 
-def _gains(config: StudyConfig, runs: dict[str, list[Run]]) -> list[Gain]:
-    reached = {}
+def _median(values: Array) -> float:
+    return float(np.median(values))
+
+
+def _gains(config: StudyConfig, runs: Runs, generations: int) -> list[Gain]:
+    reached_m = {}
     for arm in config.comparable():
-        values = np.array([run.at_generation(config.generation) for run in runs.get(arm, [])])
+        values = np.array([run.best_after(generations) for run in runs.get(arm, [])])
         if np.isfinite(values).any():
-            reached[arm] = values[np.isfinite(values)]
-    if np.median(reached.get(config.reference, 0.0)) <= 0:
-        return []
+            reached_m[arm] = values[np.isfinite(values)]
 
     def ratio(a: Array, b: Array) -> float:
-        return float(np.median(a) / np.median(b)) if np.median(b) > 0 else np.inf
+        return _median(a) / _median(b) if np.median(b) > 0 else np.inf
 
-    ratios = _compare(config, reached, lambda a, b: statistics.bootstrap(ratio, (a,), (b,)))
-    return [Gain(arm, len(reached[arm]), estimate) for arm, estimate in ratios.items()]
-
-
-def _compare(config: StudyConfig, groups: dict[str, G], compare: Callable[[G, G], T]) -> dict[str, T]:
-    """Compare each arm with the reference, if the reference has runs."""
-    base = groups.get(config.reference)
-    if base is None:
-        return {}
-    return {arm: compare(group, base) for arm, group in groups.items() if arm != config.reference}
-
-
-def _speed_up(group: Arrivals, reference: Arrivals) -> Estimate:
-    if not (group[1].any() and reference[1].any()):  # no interval can be estimated
-        return Estimate(statistics.speed_up(*group, *reference), float("nan"), float("nan"))
-    return statistics.bootstrap(statistics.speed_up, group, reference)
+    ratios = compare(config, reached_m, lambda a, b: statistics.bootstrap(ratio, (a,), (b,)))
+    a12 = compare(config, reached_m, statistics.a12)
+    return [
+        Gain(arm, len(values), statistics.bootstrap(_median, (values,)), ratios.get(arm), a12.get(arm))
+        for arm, values in reached_m.items()
+    ]
 
 
 def summarize(analysis: Analysis) -> list[str]:
@@ -182,37 +138,39 @@ def summarize(analysis: Analysis) -> list[str]:
             f"UNFINISHED: {len(analysis.missing)} of {len(config.cells())} runs are missing ({shown}); "
             "these results cover the others."
         )
-    if analysis.thresholds_m is None:
-        lines.append("There are no thresholds yet: the pilot runs are not finished.")
-    elif not analysis.thresholds_m:
-        lines.append("There are no thresholds: most pilot runs of the reference never crawled forwards.")
-    else:
-        lines += _summarize_times(analysis, analysis.thresholds_m[-1])
+    for threshold, rows in analysis.times.items():
+        lines += [_summarize_times(threshold, row) for row in rows]
     medians = {row.arm: row.median_m.value for row in analysis.finals}
     lines += [
         f"{row.arm}: median final distance {_mm(row.median_m.value)}, against "
-        f"{_mm(medians[config.reference])} for the reference; A12 {format_estimate(row.a12)}, "
-        f"Mann-Whitney p {format_p(row.mann_whitney_p)}."
+        f"{_mm(medians[config.reference_of(row.arm)])} for the reference; A12 "
+        f"{format_estimate(row.a12)}, Mann-Whitney p {format_p(row.mann_whitney_p)}."
         for row in analysis.finals
         if row.a12 is not None
     ]
-    for gain in analysis.gains:
-        value, low, high = (100 * (ratio - 1) for ratio in gain.ratio)
-        lines.append(
-            f"{gain.arm}: {value:+.0f} % distance at generation {config.generation} "
-            f"against the reference ({low:+.0f} to {high:+.0f} %; {gain.runs} runs)."
-        )
+    for count, gains in analysis.gains.items():
+        for gain in gains:
+            if gain.ratio is not None and np.isfinite(gain.ratio.value):
+                value, low, high = (100 * (ratio - 1) for ratio in gain.ratio)
+                lines.append(
+                    f"{gain.arm}: {value:+.0f} % distance after {count} generations against the "
+                    f"reference ({low:+.0f} to {high:+.0f} %; {gain.runs} runs)."
+                )
     return lines
 
 
-def _summarize_times(analysis: Analysis, threshold_m: float) -> list[str]:
-    lines = []
-    for row in analysis.times[threshold_m]:
-        line = f"{row.arm}: {row.reached} of {row.runs} runs reach {_mm(threshold_m)}"
-        if row.speed_up is not None:
-            line += f"; speed-up {format_estimate(row.speed_up)}, log-rank p {format_p(row.log_rank_p)}"
-        lines.append(line + ".")
-    return lines
+def _summarize_times(threshold: Threshold, row: Times) -> str:
+    if np.isnan(row.threshold_m):
+        return f"{row.arm}: {threshold} is not known yet, or 0."
+    level = _mm(row.threshold_m)
+    if threshold.fixed_m is None:
+        level = f"{threshold} ({level})"
+    line = f"{row.arm}: {row.reached} of {row.runs} runs reach {level}"
+    if row.median_generations is not None and np.isfinite(row.median_generations.value):
+        line += f", the median run after {format_estimate(row.median_generations, '{:.0f}')} generations"
+    if row.speed_up is not None:
+        line += f"; speed-up {format_estimate(row.speed_up)}, log-rank p {format_p(row.log_rank_p)}"
+    return line + "."
 
 
 def _mm(metres: float) -> str:

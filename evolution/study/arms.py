@@ -11,15 +11,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+import polars
 
 from caterpillar_env.errors import CaterpillarError, show
-from caterpillar_env.robot import AnyRobot, Robot
+from caterpillar_env.robot import AnyRobot, Outcomes, Robot
 from evolution.config import RunConfig
 from evolution.run.evaluators import Evaluator
 from evolution.run.history import History
-from evolution.run.journal import FILE
+from evolution.run.journal import FAILURES, FILE, Journal
 from evolution.run.loop import evolve, resume
+from evolution.run.objective import score
 
 _UNLIMITED = 1_000_000  # generations: the budget ends a run
 
@@ -30,6 +34,10 @@ class Arm(Protocol):
     Every run is a folder with a journal (`evolution.run.journal`), and the study reads the evaluations
     from it. These methods cover everything that depends on the kind of the arm.
     """
+
+    #: Whether a run can be continued from its evaluations alone, see `restore`. Such a run ends after
+    #: the generation in which its budget is spent.
+    restorable: ClassVar[bool]
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm:
@@ -55,6 +63,19 @@ class Arm(Protocol):
 
     def matches(self, history: History, seed: int, budget_s: float) -> bool:
         """Return whether a recorded run has these settings."""
+
+    def restore(self, rows: polars.DataFrame, folder: Path, seed: int, budget_s: float) -> None:
+        """Make the folder of a run again, if the arm is `restorable`.
+
+        Args:
+            rows: evaluations of completed generations, as in the table of a study.
+            folder: run folder to create.
+            seed: seed of the run.
+            budget_s: budget of the run, simulated seconds.
+
+        Raises:
+            CaterpillarError: the run now has other genomes, because the package or NumPy has changed.
+        """
 
     def robot(self, folder: Path, evaluation: int) -> AnyRobot:
         """Return the robot of an evaluation of a finished run, by its number."""
@@ -108,6 +129,7 @@ class EvolutionArm:
     """Runs of an optimizer: the genetic algorithm, SHADE, CMA-ES or random search. See `Arm`."""
 
     config: RunConfig
+    restorable: ClassVar[bool] = True
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], base: Mapping[str, Any]) -> EvolutionArm:
@@ -120,7 +142,7 @@ class EvolutionArm:
         if config.target_m is not None:
             raise CaterpillarError(
                 f"target_m = {config.target_m:g} would end runs before their budget is spent; remove it "
-                "(the targets of a study are its threshold_shares)"
+                "(the targets of a study are its thresholds_m)"
             )
         return cls(config)
 
@@ -129,17 +151,50 @@ class EvolutionArm:
         return replace(self.config, seed=seed, budget_s=budget_s, generations=_UNLIMITED)
 
     def run(self, folder: Path, seed: int, budget_s: float, evaluator: Evaluator) -> bool:
-        """Evolve, or resume if there is a journal."""
+        """Evolve, or resume if there is a journal, which may have a smaller budget."""
         if (folder / FILE).exists():
+            with Journal(folder) as journal:
+                History(journal).configure(self.run_config(seed, budget_s))
             return resume(folder, evaluator=evaluator).finished
         shutil.rmtree(folder, ignore_errors=True)  # stopped before the journal was created
         return evolve(self.run_config(seed, budget_s), folder, evaluator=evaluator).finished
 
     def matches(self, history: History, seed: int, budget_s: float) -> bool:
-        """Return whether the run has the configuration of this arm."""
-        return history.config == self.run_config(seed, budget_s)
+        """Return whether the run has the configuration of this arm. Its budget may be different."""
+        return replace(history.config, budget_s=budget_s) == self.run_config(seed, budget_s)
+
+    def restore(self, rows: polars.DataFrame, folder: Path, seed: int, budget_s: float) -> None:
+        """Replay the optimizer with the recorded outcomes, which leads to the same genomes."""
+        config = self.run_config(seed, budget_s)
+        optimizer, encoding = config.make_optimizer(), config.encoding
+        partial = folder.with_name(f".{folder.name}.partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        with Journal.create(partial, config.to_dict()) as journal:
+            history = History(journal)
+            history.begin()
+            for generation in rows.partition_by("generation", maintain_order=True):
+                genomes = encoding.check(optimizer.ask())
+                genes = generation.select(gene.name for gene in encoding.genes).to_numpy()
+                if not np.array_equal(encoding.values(genomes).astype(np.float32), genes):
+                    raise CaterpillarError(
+                        f"{folder} cannot be made again: the genomes of generation "
+                        f"{len(history.generations)} differ from the recorded ones. The package or "
+                        "NumPy has changed; install the versions of the study, or start a new study"
+                    )
+                history.append(genomes, _to_outcomes(generation))
+                outcomes = history.complete()
+                optimizer.tell(genomes, score(history.objective, outcomes, config.failed_fitness))
+        shutil.rmtree(folder, ignore_errors=True)
+        partial.rename(folder)
 
     def robot(self, folder: Path, evaluation: int) -> Robot:
         """Decode the genome of an evaluation."""
         history = History.read(folder)
         return history.robot(history.evaluations[evaluation])
+
+
+def _to_outcomes(rows: polars.DataFrame) -> Outcomes:
+    failure = np.array([FAILURES[label] for label in rows["failure"]], dtype=np.int8)
+    numbers = (rows[name].to_numpy() for name in ("distance_m", "energy_j", "simulated_s"))
+    return Outcomes(failure, *numbers)

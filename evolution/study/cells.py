@@ -16,16 +16,19 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+import polars
+
 from caterpillar_env.errors import CaterpillarError
 from evolution.run.cluster import Cluster, ClusterError, RayEvaluator
 from evolution.run.evaluators import LocalEvaluator
-from evolution.run.journal import read_simulated_s
+from evolution.run.journal import FILE, read_simulated_s
 from evolution.study.arms import Arm
 from evolution.study.config import Cell, StudyConfig
-from evolution.study.results import read_finished, read_kept
+from evolution.study.results import is_finished, read_all
 
 _POLL_S = 0.5
-_Task = tuple[Arm, Path, int, float]  # an arm, and the first arguments of `Arm.run`
+#: An arm, the first arguments of `Arm.run`, and the evaluations to continue from without a journal.
+_Task = tuple[Arm, Path, int, float, polars.DataFrame | None]
 
 
 class Processes:
@@ -133,7 +136,7 @@ def run_study(
 ) -> list[tuple[Cell, str]]:
     """Run all unfinished cells. A cell that fails does not stop the others.
 
-    A cell is finished if its run folder says so, or if the study's table has its evaluations.
+    A cell continues from its journal or, without one, from its evaluations in the study's table.
 
     Args:
         config: the study.
@@ -148,19 +151,18 @@ def run_study(
     Raises:
         ClusterError: the Ray cluster cannot be reached, or was lost.
     """
-    cells, kept = config.cells(), read_kept(folder)
+    cells, known = config.cells(), read_all(config, folder)
     with workers:
         pool = ThreadPoolExecutor(workers.count)
         futures: dict[Future[None], Cell] = {}
         try:
-            unfinished = [
-                cell
-                for cell in cells
-                if cell not in kept and read_finished(config, cell, folder) is None
-            ]
+            unfinished = [cell for cell in cells if not is_finished(config, cell, known.get(cell))]
             for cell in unfinished:
-                task = (config.arms[cell.arm], cell.folder(folder).resolve(), cell.seed, config.budget_s)
+                run, budget_s = cell.folder(folder).resolve(), config.budget_of(cell)
+                task = (config.arms[cell.arm], run, cell.seed, budget_s, known.get(cell))
                 futures[pool.submit(workers.run, task, len(unfinished))] = cell
+            del known
+            total_s = sum(config.budget_of(cell) for cell in cells)
             pending = set(futures)
             while pending:
                 done, pending = wait(pending, _POLL_S, FIRST_COMPLETED)
@@ -168,18 +170,28 @@ def run_study(
                     if isinstance(error := future.exception(), ClusterError):
                         raise error
                 if on_progress is not None:
-                    running = [futures[future].folder(folder) for future in pending]
-                    spent = [min(read_simulated_s(run) / config.budget_s, 1.0) for run in running]
-                    ended = len(cells) - len(pending)
-                    on_progress(ended, (ended + sum(spent)) / len(cells))
+                    left_s = 0.0
+                    for cell in (futures[future] for future in pending):
+                        spent_s = read_simulated_s(cell.folder(folder))
+                        left_s += max(config.budget_of(cell) - spent_s, 0.0)
+                    on_progress(len(cells) - len(pending), 1.0 - left_s / total_s)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
     errors = {cell: future.exception() for future, cell in futures.items()}
     return [(cell, str(error)) for cell, error in errors.items() if error is not None]
 
 
-def _run(arm: Arm, folder: Path, seed: int, budget_s: float, share: float | None = None) -> None:
+def _run(
+    arm: Arm,
+    folder: Path,
+    seed: int,
+    budget_s: float,
+    rows: polars.DataFrame | None,
+    share: float | None = None,
+) -> None:
     """Run a cell on one thread of this process or, given a share, on that share of its Ray cluster."""
+    if rows is not None and not (folder / FILE).exists():
+        arm.restore(rows, folder, seed, budget_s)
     evaluator = LocalEvaluator(1) if share is None else RayEvaluator(share=share)
     if not arm.run(folder, seed, budget_s, evaluator):
         raise CaterpillarError(f"{folder} was interrupted; run the study again to continue")

@@ -1,7 +1,7 @@
-"""Configuration of a study: every arm runs with every seed, and all runs have the same budget.
+"""Configuration of a study: every arm runs with every seed, and all arms have the same budget.
 
-The folder of a study contains `study.json` (the configuration), a run folder `cells/ARM/seed-N` for each
-run, and `thresholds.json` (written once, from pilot runs). Studies can be stopped and resumed anytime.
+The folder of a study contains `study.json` (the configuration), `evaluations.parquet` (all results) and
+a run folder `cells/ARM/seed-N` for each run. Studies can be stopped and resumed anytime.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 from caterpillar_env.errors import CaterpillarError, check_fields, show
 from caterpillar_env.files import read, write_json, writing
 from caterpillar_env.task import EPISODE_S
-from evolution.config import RunConfig
 from evolution.study.arms import Arm, EvolutionArm, make_arm
 
 SETTINGS = "study.json"  #: name of the file with a study's configuration
@@ -46,18 +45,20 @@ class StudyConfig:
 
     arms: Mapping[str, Arm]
     seeds: tuple[int, ...] = ()
-    pilot_seeds: tuple[int, ...] = ()  #: seeds of the reference's pilot runs, for the thresholds only
     budget_s: float = 0.0  #: simulated seconds of each run
+    long_seeds: tuple[int, ...] = ()  #: seeds with which the reference runs on, to `long_budget_s`
+    long_budget_s: float = 0.0  #: simulated seconds of the reference's longer runs
     reference: str = "ga-uniform"  #: arm that the other arms are compared with
-    generation: int = 50  #: arms with the reference's algorithm are also compared at this generation
-    #: Thresholds as shares of the median final distance of the reference's pilot runs.
-    threshold_shares: tuple[float, ...] = (0.5, 0.75, 1.0)
-    thresholds_m: tuple[float, ...] = ()  #: thresholds in m, instead of shares and pilot runs
+    references: Mapping[str, str] = field(default_factory=dict)  #: by arm, instead of `reference`
+    #: Numbers of generations after which arms with their reference's algorithm are compared.
+    generations: tuple[int, ...] = (50,)
+    #: Thresholds in m. By default, the median distance of the reference after each of `generations`.
+    thresholds_m: tuple[float, ...] = ()
     #: `base` and `arms` as given to `from_dict`.
     sources: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def __post_init__(self) -> None:
-        check_fields(self, dict.fromkeys(("seeds", "pilot_seeds", "generation"), (0, 2**63)))
+        check_fields(self, {"seeds": (0, 2**63), "long_seeds": (0, 2**63), "generations": (1, 2**63)})
         if not self.arms:
             raise CaterpillarError("a study needs arms: add a table [arms.NAME] for each of them")
         for arm in self.arms:
@@ -70,31 +71,42 @@ class StudyConfig:
             raise CaterpillarError(
                 f"reference = {self.reference!r} must be one of the arms {', '.join(self.arms)}"
             )
-        for name in ("seeds", "pilot_seeds"):
-            seeds = getattr(self, name)
-            needed = name == "seeds" or not self.thresholds_m
-            if (needed and not seeds) or len(set(seeds)) < len(seeds):
+        self._check_references()
+        for name in ("seeds", "generations"):
+            values = getattr(self, name)
+            if not values or len(set(values)) < len(values):
+                first = "0" if name == "seeds" else "1"
                 raise CaterpillarError(
-                    f"{name} must be a list of different integers from 0; got {seeds!r}"
+                    f"{name} must be a list of different integers from {first}; got {values!r}"
                 )
-        if both := set(self.seeds) & set(self.pilot_seeds):
-            raise CaterpillarError(
-                f"seeds {sorted(both)} are pilot seeds too: thresholds must come from runs that are not "
-                "analysed; choose other pilot_seeds"
-            )
         if self.budget_s < EPISODE_S:
             raise CaterpillarError(
                 f"budget_s = {self.budget_s!r} must be at least {EPISODE_S:g}, the simulated seconds of "
                 "one evaluation"
             )
-        for name in ("threshold_shares", "thresholds_m"):
-            values, needed = getattr(self, name), name == "threshold_shares"
-            if min(values, default=1.0) <= 0 or (needed and not values):
-                raise CaterpillarError(f"{name} must be a list of positive numbers; got {values!r}")
-        if self.thresholds_m and self.pilot_seeds:
+        if self.long_seeds and self.long_budget_s < self.budget_s:
             raise CaterpillarError(
-                "thresholds_m replaces the pilot runs; remove pilot_seeds, or thresholds_m"
+                f"long_budget_s = {self.long_budget_s!r} must be at least budget_s = {self.budget_s:g}"
             )
+        if self.long_seeds and not isinstance(self.arms[self.reference], EvolutionArm):
+            raise CaterpillarError("long_seeds needs a reference that evolves robots; remove it")
+        if min(self.thresholds_m, default=1.0) <= 0:
+            raise CaterpillarError(
+                f"thresholds_m must be a list of positive numbers; got {self.thresholds_m!r}"
+            )
+
+    def _check_references(self) -> None:
+        for arm, reference in self.references.items():
+            for name in (arm, reference):
+                if not isinstance(name, str) or name not in self.arms:
+                    raise CaterpillarError(
+                        f"references: {show(name)} must be one of the arms {', '.join(self.arms)}"
+                    )
+            if self.reference_of(reference) != reference:
+                raise CaterpillarError(
+                    f"references.{arm} = {reference!r} is compared with another arm itself; name an arm "
+                    "that is not"
+                )
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> StudyConfig:
@@ -125,30 +137,43 @@ class StudyConfig:
         return {name: getattr(self, name) for name in names} | dict(self.sources)
 
     def cells(self) -> list[Cell]:
-        """Return all runs, pilot runs first."""
-        pilot = [Cell(self.reference, seed) for seed in self.pilot_seeds]
-        return pilot + [Cell(arm, seed) for seed in self.seeds for arm in self.arms]
+        """Return all runs, seed by seed, so that the first seeds of all arms finish first."""
+        return [Cell(arm, seed) for seed in self.seeds for arm in self.arms]
 
-    def comparable(self) -> dict[str, RunConfig]:
-        """Return the arms with the reference's algorithm, whose generations are comparable."""
+    def budget_of(self, cell: Cell) -> float:
+        """Return the budget of a run, simulated seconds."""
+        is_long = cell.arm == self.reference and cell.seed in self.long_seeds
+        return self.long_budget_s if is_long else self.budget_s
+
+    def reference_of(self, arm: str) -> str:
+        """Return the arm that an arm is compared with. A reference is its own reference."""
+        return self.references.get(arm, arm if arm in self.references.values() else self.reference)
+
+    def comparable(self) -> list[str]:
+        """Return the arms with their reference's algorithm, whose generations are comparable."""
         runs = {name: arm.config for name, arm in self.arms.items() if isinstance(arm, EvolutionArm)}
-        base = runs.get(self.reference)
-        return {
-            name: run
-            for name, run in runs.items()
-            if base is not None and (run.optimizer, run.ga) == (base.optimizer, base.ga)
-        }
+        found = []
+        for name, run in runs.items():
+            base = runs.get(self.reference_of(name))
+            if base is not None and (run.optimizer, run.ga) == (base.optimizer, base.ga):
+                found.append(name)
+        return found
 
     def warnings(self) -> list[str]:
-        """Describe the arms that may not reach the generation at which arms are compared."""
+        """Describe the arms that may not reach the generations at which arms are compared."""
         found = []
-        for name, run in self.comparable().items():
-            needed_s = EPISODE_S * replace(run, generations=self.generation + 1).evaluations()
-            if needed_s > self.budget_s:
+        for name in self.comparable():
+            arm = self.arms[name]
+            assert isinstance(arm, EvolutionArm)
+            is_longer = name == self.reference and self.long_seeds
+            budget_s = self.long_budget_s if is_longer else self.budget_s
+            count = max(self.generations) if is_longer else min(self.generations)
+            needed_s = EPISODE_S * replace(arm.config, generations=count).evaluations()
+            if needed_s > budget_s:
                 found.append(
-                    f"arms.{name}: generation {self.generation}, at which arms are compared, may not be "
-                    f"completed: it takes up to {needed_s:g} simulated seconds, and budget_s = "
-                    f"{self.budget_s:g}"
+                    f"arms.{name}: {count} generations, after which arms are compared, may not be "
+                    f"completed: they take up to {needed_s:g} simulated seconds, and the budget is "
+                    f"{budget_s:g}"
                 )
         return found
 
@@ -164,14 +189,15 @@ def read_toml(path: Path) -> StudyConfig:
 
 
 def preset(name: str) -> StudyConfig:
-    """Read a study of this package: paper, ablation, search, worlds, pilot or rl-pilot."""
+    """Read a study of this package, for example paper or ablation."""
     return read_toml(Path(__file__).with_name("presets") / f"{name}.toml")
 
 
 def begin(config: StudyConfig, folder: Path) -> None:
     """Write a study's configuration into its folder. The folder is created if it is missing.
 
-    Arms and seeds can be added to an existing study. Its other settings cannot be changed.
+    Arms, seeds and longer runs can be added to an existing study. Its budget, its references and the
+    settings of its arms cannot be changed.
 
     Raises:
         CaterpillarError: the folder contains other files, or a study with different settings.
@@ -179,8 +205,13 @@ def begin(config: StudyConfig, folder: Path) -> None:
     file = folder / SETTINGS
     if file.exists():
         before = load(folder)
-        names = ("budget_s", "reference", "pilot_seeds", "threshold_shares", "thresholds_m")
+        names = ("budget_s", "reference", "generations", "thresholds_m")
         changed = [name for name in names if getattr(before, name) != getattr(config, name)]
+        changed += [
+            f"references.{arm}"
+            for arm in before.arms
+            if arm in config.arms and config.reference_of(arm) != before.reference_of(arm)
+        ]
         changed += [f"arms.{a}" for a, arm in before.arms.items() if config.arms.get(a, arm) != arm]
         if changed:
             raise CaterpillarError(

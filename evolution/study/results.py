@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,13 +12,13 @@ import polars
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError, show, to_number
-from caterpillar_env.files import read, write_json
+from caterpillar_env.errors import CaterpillarError
 from evolution.run.database import JournalError
 from evolution.run.history import History
 from evolution.study.config import Cell, StudyConfig
 
 DATA = "evaluations.parquet"  #: name of the file with all evaluations of a study
+_GROUP_ROWS = 10_000
 _KEEP = "restore a copy of it, or remove it if the folders of all runs are there"
 _OUTCOME = ("evaluation", "generation", "failure", "stopped", "distance_m", "energy_j", "simulated_s")
 
@@ -30,8 +30,8 @@ class Results(NamedTuple):
     missing: list[Cell]  #: runs that are not finished
 
 
-def read_finished(config: StudyConfig, cell: Cell, study: Path) -> History | None:
-    """Read a run of a study, or return None if it is missing, unfinished or unreadable.
+def read_run(config: StudyConfig, cell: Cell, study: Path) -> History | None:
+    """Read a run of a study, or return None if it is missing or unreadable.
 
     Raises:
         CaterpillarError: the run was made with different settings.
@@ -41,15 +41,15 @@ def read_finished(config: StudyConfig, cell: Cell, study: Path) -> History | Non
         history = History.read(folder)
     except JournalError:
         return None  # running this cell reports the error
-    if not config.arms[cell.arm].matches(history, cell.seed, config.budget_s):
+    if not config.arms[cell.arm].matches(history, cell.seed, config.budget_of(cell)):
         raise CaterpillarError(
             f"{folder} was run with other settings; choose another folder for the study, or remove it"
         )
-    return history if history.finished else None
+    return history
 
 
 def read_kept(folder: Path) -> dict[Cell, polars.DataFrame]:
-    """Read the evaluations of the runs that an earlier `collect` wrote into the file `DATA`."""
+    """Read the evaluations that an earlier `collect` wrote into the file `DATA`, finished or not."""
     file = folder / DATA
     if not file.is_file():
         return {}
@@ -62,34 +62,60 @@ def read_kept(folder: Path) -> dict[Cell, polars.DataFrame]:
         raise CaterpillarError(f"cannot read {file}: {error}; {_KEEP}") from None
 
 
-def collect(config: StudyConfig, folder: Path) -> Results:
-    """Read all finished runs of a study, and write their evaluations into the file `DATA`.
+def read_all(config: StudyConfig, folder: Path) -> dict[Cell, polars.DataFrame]:
+    """Return the evaluations of all runs that have begun, from their folders or the file `DATA`.
 
-    Runs whose folders were deleted are taken from this file if an earlier call wrote it.
+    Of a run that is in both, the longer record counts. Only completed generations are included.
     """
-    file, kept = folder / DATA, read_kept(folder)
-    tables, missing, new = [], [], False
+    kept, found = read_kept(folder), {}
     for cell in config.cells():
-        history = read_finished(config, cell, folder)
-        if history is not None:
-            new = True
-            tables.append(_to_table(cell, history))
-        elif cell in kept:
-            tables.append(kept[cell])
-        else:
-            missing.append(cell)
-    table = polars.concat(tables, how="diagonal") if tables else polars.DataFrame()
-    if new:
-        partial = folder / f".{DATA}.partial"
-        table.write_parquet(partial, compression="zstd", compression_level=19)
-        os.replace(partial, file)
-    return Results(table, missing)
+        rows, history = kept.pop(cell, None), read_run(config, cell, folder)
+        if history is not None and (history.finished or config.arms[cell.arm].restorable):
+            recorded = _to_table(cell, history)
+            if len(recorded) and (rows is None or len(recorded) > len(rows)):
+                rows = recorded
+        if rows is not None:
+            found[cell] = rows
+    return found | kept  # nothing is lost if a study has fewer runs now
+
+
+def is_finished(config: StudyConfig, cell: Cell, rows: polars.DataFrame | None) -> bool:
+    """Return whether the evaluations of a run are all that its budget allows."""
+    if rows is None:
+        return False
+    spent_s = float(rows["simulated_s"].sum())
+    return not config.arms[cell.arm].restorable or spent_s >= config.budget_of(cell)
+
+
+def collect(config: StudyConfig, folder: Path) -> Results:
+    """Read all runs of a study, write their evaluations into the file `DATA`, and return the finished.
+
+    Runs whose folders were deleted are taken from this file if an earlier call wrote it. The file also
+    has the completed generations of unfinished runs, which `run_study` continues.
+    """
+    found, file = read_all(config, folder), folder / DATA
+    if found:
+        table = polars.concat(found.values(), how="diagonal")
+        if not (file.exists() and polars.read_parquet(file).equals(table)):
+            partial = folder / f".{DATA}.partial"
+            # In small groups, of which a version-control system stores only those that change.
+            table.write_parquet(
+                partial, compression="zstd", compression_level=15, row_group_size=_GROUP_ROWS
+            )
+            os.replace(partial, file)
+    cells = config.cells()
+    finished = {cell: found[cell] for cell in cells if is_finished(config, cell, found.get(cell))}
+    tables = list(finished.values())
+    return Results(
+        polars.concat(tables, how="diagonal") if tables else polars.DataFrame(),
+        [cell for cell in cells if cell not in finished],
+    )
 
 
 def _to_table(cell: Cell, history: History) -> polars.DataFrame:
     rows = history.table()
     genes = rows.columns[rows.columns.index("session") + 1 :]
-    return rows.select(
+    return rows.filter(polars.col("generation") < len(history.generations)).select(
         polars.lit(cell.arm).alias("arm"),
         polars.lit(cell.seed, polars.Int64).alias("seed"),
         polars.col(_OUTCOME),
@@ -114,73 +140,53 @@ class Run(NamedTuple):
     failure: NDArray[Any]  #: "ok" or the kind of failure, (E,)
     generation: NDArray[np.int64]  #: number of the generation, (E,)
     generations: int  #: number of generations completed within the budget
+    budget_s: float  #: simulated seconds at which the run is censored
 
     def time_to(self, distance_m: float) -> float:
         """Return the simulated time (s) at which the run reaches a distance; infinite if never."""
-        reached = self.spent_s[self.best_m >= distance_m]
-        return float(reached[0]) if reached.size else float("inf")
+        place = int(np.searchsorted(self.best_m, distance_m))
+        return float(self.spent_s[place]) if place < len(self.best_m) else float("inf")
 
-    def at_generation(self, number: int) -> float:
-        """Return the best distance (m) at the end of a generation, or NaN beyond the budget."""
-        if number >= self.generations:
+    def generations_to(self, distance_m: float) -> float:
+        """Return the number of generations that the run needs to a distance; infinite if never."""
+        place = int(np.searchsorted(self.best_m, distance_m))
+        return float(self.generation[place] + 1) if place < len(self.best_m) else float("inf")
+
+    def best_after(self, generations: int) -> float:
+        """Return the best distance (m) after a number of generations, or NaN beyond the budget."""
+        if generations > self.generations:
             return float("nan")
-        return float(self.best_m[np.searchsorted(self.generation, number, side="right") - 1])
+        return float(self.best_m[np.searchsorted(self.generation, generations - 1, side="right") - 1])
+
+    def best_at(self, time_s: float) -> float:
+        """Return the best distance (m) at a simulated time."""
+        count = int(np.searchsorted(self.spent_s, time_s, side="right"))
+        return float(self.best_m[count - 1]) if count else 0.0
 
 
-def read_runs(
-    table: polars.DataFrame, config: StudyConfig, seeds: Sequence[int]
-) -> dict[str, list[Run]]:
-    """Return the runs of each arm with these seeds."""
+def read_runs(table: polars.DataFrame, config: StudyConfig) -> dict[str, list[Run]]:
+    """Return the runs of each arm, in the order of the table."""
     runs: dict[str, list[Run]] = {arm: [] for arm in config.arms}
-    for (arm, seed), rows in _split(table):
-        if arm not in runs or seed not in seeds:
+    for cell, rows in _split(table):
+        if cell.arm not in runs or cell.seed not in config.seeds:
             continue
+        budget_s = config.budget_of(cell)
         spent_s = np.cumsum(rows["simulated_s"].to_numpy())
-        count = int(np.searchsorted(spent_s, config.budget_s, side="right"))
+        count = int(np.searchsorted(spent_s, budget_s, side="right"))
         generation, failure = rows["generation"].to_numpy(), rows["failure"].to_numpy()
         complete = failure == "ok"
         if "stopped" in rows.columns:  # earlier versions had no racing
             complete &= ~rows["stopped"].fill_null(value=False).to_numpy()
         crawled_m = np.where(complete, np.maximum(rows["distance_m"].to_numpy(), 0.0), 0.0)
-        runs[arm].append(
+        runs[cell.arm].append(
             Run(
-                seed=seed,
+                seed=cell.seed,
                 spent_s=spent_s[:count],
                 best_m=np.maximum.accumulate(crawled_m)[:count],
                 failure=failure[:count],
                 generation=generation[:count],
                 generations=int(generation[count] if count < len(rows) else generation[-1] + 1),
+                budget_s=budget_s,
             )
         )
     return runs
-
-
-def _check_thresholds(data: Any) -> list[float]:
-    """Return the thresholds (m) in the content of thresholds.json."""
-    values = data.get("thresholds_m") if isinstance(data, dict) else None
-    numbers = [to_number(value) or 0.0 for value in values] if isinstance(values, list) else []
-    if min(numbers, default=0.0) <= 0:
-        raise CaterpillarError(f"thresholds_m = {show(values)} must be a list of positive numbers")
-    return numbers
-
-
-def read_thresholds(config: StudyConfig, folder: Path, table: polars.DataFrame) -> list[float] | None:
-    """Return the threshold distances (m). Those from pilot runs are written into a file once.
-
-    Returns:
-        None until all pilot runs are finished, or an empty list if most of them never crawled forwards.
-    """
-    if config.thresholds_m:
-        return list(config.thresholds_m)
-    file = folder / "thresholds.json"
-    if file.exists():
-        return read(file, _check_thresholds, "remove it, and it is made again")
-    runs = read_runs(table, config, config.pilot_seeds)[config.reference]
-    if len(runs) < len(config.pilot_seeds):
-        return None
-    median_m = float(np.median([run.best_m[-1] for run in runs]))
-    if median_m <= 0:
-        return []
-    found = [share * median_m for share in config.threshold_shares]
-    write_json(file, {"thresholds_m": found})
-    return found

@@ -1,8 +1,10 @@
-"""Simulates the best robots of a study again, with more accurate settings."""
+"""Simulates the best robots of a study again, under other conditions, and measures how they crawl."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,21 +15,35 @@ from caterpillar_env.errors import CaterpillarError, to_number
 from caterpillar_env.files import read, write_json
 from caterpillar_env.robot import AnyRobot, Robot, simulate
 from caterpillar_env.task import Failure
+from caterpillar_env.validation.gaits import Gait, measure_gait
 from caterpillar_env.validation.robots import stack_robots
 from evolution.study.analysis import Analysis
 from evolution.study.config import Cell
-from evolution.study.results import Run
+from evolution.study.results import Run, read_kept
 
+FINE = "0.25 ms"
 REFERENCE_TIMESTEP_S = 0.00025  #: timestep of the reference simulation, see docs/physics.md
-_AGAIN = "remove it, and it is made again"
 ARTEFACT_SHARE = 0.1  #: largest relative change of distance that is not an artefact
 
-
-#: Settings of the simulations that all winners are compared with, by the name in tables.
-REFERENCES: dict[str, dict[str, Any]] = {
-    "0.25 ms": {"timestep_s": REFERENCE_TIMESTEP_S},
+#: Changes of the physics under which winners are simulated again, by the name in tables.
+CONDITIONS: dict[str, dict[str, Any]] = {
+    FINE: {"timestep_s": REFERENCE_TIMESTEP_S},
     "Runge-Kutta": {"timestep_s": REFERENCE_TIMESTEP_S, "integrator": "rk4"},
+    "friction 0.4": {"friction": 0.4},
+    "friction 1.2": {"friction": 1.2},
+    "other springs (seed 1001)": {"mismatch_seed": 1001},
+    "other springs (seed 1002)": {"mismatch_seed": 1002},
 }
+
+_MEASURES = {
+    "best_tenth": "distance covered in the best tenth of a period",
+    "body_load": "load on the body",
+    "overrun": "excess of a joint over its limit",
+    "slip": "sliding of the feet, relative to the distance",
+}
+_AGAIN = "remove it, and it is made again"
+_Key = tuple[str, int, float]  # arm, seed, recorded distance
+_Row = dict[str, Any]
 
 
 class Winner(NamedTuple):
@@ -46,135 +62,178 @@ class Winner(NamedTuple):
         return self.failure != "ok" or change > ARTEFACT_SHARE * self.recorded_m
 
 
-def find_winners(analysis: Analysis, folder: Path) -> list[Winner]:
-    """Simulate each arm's best robot within the budget again, or read the results of an earlier call.
+class Comparison(NamedTuple):
+    """The best robots of all runs of an arm, simulated again under one of the `CONDITIONS`."""
 
-    Robots are saved as `winners/ARM.json` in the study's folder, and results as `winners/winners.json`.
+    arm: str
+    condition: str
+    robots: int
+    failed: int  #: number of robots that fail
+    median_share: float  #: of the recorded distance, over the others; NaN if there are none
+    smallest_share: float  #: the same
+    largest_share: float  #: the same
+
+
+class Crawling(NamedTuple):
+    """A measure of how the best robots of all runs of an arm crawl, see `Gait`."""
+
+    arm: str
+    measure: str
+    robots: int
+    median: float
+    low: float  #: first quartile
+    high: float  #: third quartile
+
+
+class Judgement(NamedTuple):
+    """Results of the best robots of a study."""
+
+    winners: list[Winner]  #: the best robot of each arm
+    comparisons: list[Comparison]  #: of the robots that were simulated under all `CONDITIONS`
+    crawling: list[Crawling]  #: of the same robots
+
+
+def judge_winners(analysis: Analysis, folder: Path, *, every_run: bool = False) -> Judgement:
+    """Simulate the best robots within the budget again, on all cores, unless an earlier call did.
+
+    Results are saved as `winners/winners.json` in the study's folder, the best robot of an arm as
+    `winners/ARM.json`, and that of a run as `winners/ARM/seed-N.json`.
+
+    Args:
+        analysis: analysis of the study.
+        folder: folder of the study.
+        every_run: include the best robot of every run, under all `CONDITIONS`, and measure its gait.
+            Policies are left out. By default, only the best robot of each arm is simulated, at the
+            reference timestep.
     """
     file = folder / "winners" / "winners.json"
-    known = read(file, _check_winners, _AGAIN) if file.exists() else {}
+    known = read(file, _check_rows, _AGAIN) if file.exists() else []
+    rows: dict[_Key, _Row] = {(row["arm"], row["seed"], row["recorded_m"]): row for row in known}
+    judgement = Judgement([], [], [])
     for arm, runs in analysis.runs.items():
-        best = max(runs, key=lambda run: run.best_m[-1])
-        best_m = float(best.best_m[-1])
-        is_new = best_m > 0 and known.get(arm, {}).get("recorded_m") != best_m
-        robot = _load_best(analysis, arm, best, folder) if is_new else None
-        if robot is not None:
-            file.parent.mkdir(exist_ok=True)
-            robot.save(file.with_name(f"{arm}.json"))
-            end = robot.simulate(REFERENCE_TIMESTEP_S)
-            failure = Failure(end.failure[0]).label
-            known[arm] = Winner(arm, best.seed, best_m, float(end.distance_m[0]), failure)._asdict()
-            write_json(file, known)
-    return [Winner(**known[arm]) for arm in analysis.runs if arm in known]
+        found = {(arm, run.seed, float(run.best_m[-1])): run for run in runs if run.best_m[-1] > 0}
+        if not found:
+            continue
+        best = max(found, key=lambda key: key[2])
+        changed = _judge_best(analysis, folder, found[best], _row(rows, best))
+        if every_run:
+            changed |= _judge_all(analysis, folder, {key: _row(rows, key) for key in found}, found)
+        if changed:
+            write_json(file, [row for row in rows.values() if row["references"]])
+        if end := rows[best]["references"].get(FINE):
+            judgement.winners.append(Winner(*best, end["distance_m"], end["failure"]))
+        complete = [rows[key] for key in found if key in rows and _is_complete(rows[key])]
+        judgement.comparisons.extend(_compare(arm, complete))
+        judgement.crawling.extend(_measure(arm, complete))
+    return judgement
 
 
-def _check_winners(data: Any) -> dict[str, dict[str, Any]]:
+def _row(rows: dict[_Key, _Row], key: _Key) -> _Row:
+    """Return the row of a robot, which is added if it is missing."""
+    new = {"arm": key[0], "seed": key[1], "recorded_m": key[2], "references": {}}
+    return rows.setdefault(key, new)
+
+
+def _is_complete(row: _Row) -> bool:
+    return "gait" in row and CONDITIONS.keys() <= row["references"].keys()
+
+
+def _judge_best(analysis: Analysis, folder: Path, run: Run, row: _Row) -> bool:
+    """Simulate the best robot of an arm at the reference timestep; return whether the row changed."""
+    robot = None if FINE in row["references"] else _load(analysis, folder, row["arm"], run)
+    if robot is None:
+        return False
+    path = folder / "winners" / f"{row['arm']}.json"
+    path.parent.mkdir(exist_ok=True)
+    robot.save(path)
+    end = robot.simulate(REFERENCE_TIMESTEP_S)
+    row["references"][FINE] = _describe(end.distance_m[0], end.failure[0])
+    return True
+
+
+def _judge_all(analysis: Analysis, folder: Path, rows: dict[_Key, _Row], runs: dict[_Key, Run]) -> bool:
+    """Simulate robots under the `CONDITIONS` that their rows lack; return whether a row changed."""
+    robots = {}
+    for key, row in rows.items():
+        if _is_complete(row):
+            continue
+        robot = _load(analysis, folder, key[0], runs[key])
+        if isinstance(robot, Robot):
+            robots[key] = robot
+            path = folder / "winners" / key[0] / f"seed-{key[1]}.json"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            robot.save(path)
+    for name, changes in CONDITIONS.items():
+        keys = [key for key in robots if name not in rows[key]["references"]]
+        if keys:
+            bodies, timings = stack_robots([robots[key] for key in keys])
+            ends = simulate(bodies, timings, replace(robots[keys[0]].physics, **changes))
+            for key, distance_m, failure in zip(keys, ends.distance_m, ends.failure, strict=True):
+                rows[key]["references"][name] = _describe(distance_m, failure)
+    for key, robot in robots.items():
+        rows[key]["gait"] = measure_gait(robot)._asdict()
+    return bool(robots)
+
+
+def _load(analysis: Analysis, folder: Path, arm: str, run: Run) -> AnyRobot | None:
+    """Return the best robot of a run within the budget, or None if it cannot be made again."""
+    config, cell, best_m = analysis.config, Cell(arm, run.seed), float(run.best_m[-1])
+    file = folder / "winners" / arm / f"seed-{run.seed}.json"
+    if file.exists() and (robot := Robot.load(file)).fitness_m == best_m:
+        return robot
+    number = int(run.best_m.argmax())
+    if cell.folder(folder).exists():
+        return config.arms[arm].robot(cell.folder(folder), number)
+    if not config.arms[arm].restorable:
+        return None
+    with tempfile.TemporaryDirectory() as scratch:
+        rows = read_kept(folder)[cell]
+        config.arms[arm].restore(rows, Path(scratch, "run"), run.seed, config.budget_of(cell))
+        return config.arms[arm].robot(Path(scratch, "run"), number)
+
+
+def _describe(distance_m: float, failure: int) -> dict[str, Any]:
+    return {"distance_m": float(distance_m), "failure": Failure(failure).label}
+
+
+def _check_rows(data: Any) -> list[_Row]:
     """Check the content of winners.json, and return it."""
-    fields = set(Winner._fields)
-    if not isinstance(data, dict) or not all(
-        isinstance(row, dict) and set(row) == fields and _are_numbers(row, "recorded_m", "reference_m")
-        for row in data.values()
-    ):
-        raise CaterpillarError(f"it must hold {', '.join(Winner._fields)} for each arm; {_AGAIN}")
-    return data
-
-
-def _check_rows(data: Any) -> list[dict[str, Any]]:
-    """Check the content of all.json, and return it."""
     try:
-        valid = all(
+        valid = isinstance(data, list) and all(
             _are_numbers(row, "seed", "recorded_m")
             and isinstance(row["arm"], str)
             and all(
-                _are_numbers(row["references"][name], "distance_m")
-                and isinstance(row["references"][name]["failure"], str)
-                for name in REFERENCES
+                _are_numbers(end, "distance_m") and isinstance(end["failure"], str)
+                for end in row["references"].values()
             )
+            and ("gait" not in row or _are_numbers(row["gait"], *Gait._fields))
             for row in data
         )
-    except (TypeError, LookupError):
+    except (TypeError, LookupError, AttributeError):
         valid = False
-    if not valid or not isinstance(data, list):
+    if not valid:
         raise CaterpillarError(f"it must hold a list of robots with their references; {_AGAIN}")
-    return data
+    rows: list[_Row] = data
+    return rows
 
 
 def _are_numbers(row: Any, *names: str) -> bool:
     return all(to_number(row[name]) is not None for name in names)
 
 
-class Comparison(NamedTuple):
-    """The best robots of all runs of an arm, simulated again with other settings."""
-
-    arm: str
-    reference: str  #: see `REFERENCES`
-    robots: int
-    failed: int  #: number of robots that fail with these settings
-    median_change: float  #: of the recorded distance, relative, by the others; NaN if there are none
-    largest_change: float  #: the same
-
-
-def compare_winners(analysis: Analysis, folder: Path) -> list[Comparison]:
-    """Simulate the best robot of every run again with each of `REFERENCES`, on all cores.
-
-    Results are saved as `winners/all.json`, and robots as `winners/ARM/seed-N.json`. Robots that an
-    earlier call simulated are not simulated again. Policies are left out.
-    """
-    file = folder / "winners" / "all.json"
-    known = read(file, _check_rows, _AGAIN) if file.exists() else []
-    rows = {(row["arm"], row["seed"], row["recorded_m"]): row for row in known}
+def _compare(arm: str, rows: Sequence[_Row]) -> list[Comparison]:
     found = []
-    for arm, runs in analysis.runs.items():
-        winners = {(arm, run.seed, float(run.best_m[-1])): run for run in runs if run.best_m[-1] > 0}
-        missing = [key for key in winners if key not in rows]
-        robots = {}
-        for key in missing:
-            robot = _load_best(analysis, arm, winners[key], folder)
-            if isinstance(robot, Robot):
-                robots[key] = robot
-                path = folder / "winners" / arm / f"seed-{key[1]}.json"
-                path.parent.mkdir(parents=True, exist_ok=True)
-                robot.save(path)
-        rows |= _simulate_again(robots)
-        if robots:
-            write_json(file, list(rows.values()))
-        found += _compare(arm, [rows[key] for key in winners if key in rows])
+    for name in CONDITIONS if rows else ():
+        ends = [(row["references"][name], row["recorded_m"]) for row in rows]
+        shares = [end["distance_m"] / before for end, before in ends if end["failure"] == "ok"]
+        values = (float(f(shares)) if shares else math.nan for f in (np.median, np.min, np.max))
+        found.append(Comparison(arm, name, len(ends), len(ends) - len(shares), *values))
     return found
 
 
-def _load_best(analysis: Analysis, arm: str, run: Run, folder: Path) -> AnyRobot | None:
-    """Return the best robot of a run within the budget, or None if its run folder is gone."""
-    run_folder = Cell(arm, run.seed).folder(folder)
-    if not run_folder.exists():
-        return None
-    return analysis.config.arms[arm].robot(run_folder, int(run.best_m.argmax()))
-
-
-def _simulate_again(robots: dict[tuple[str, int, float], Robot]) -> dict[tuple[str, int, float], Any]:
-    """Return the recorded distance of each robot, and its end with each of the references."""
-    rows = {
-        key: {"arm": key[0], "seed": key[1], "recorded_m": key[2], "references": {}} for key in robots
-    }
-    for name, settings in REFERENCES.items() if robots else ():
-        bodies, timings = stack_robots(list(robots.values()))
-        physics = replace(next(iter(robots.values())).physics, **settings)
-        ends = simulate(bodies, timings, physics)
-        for row, distance_m, failure in zip(rows.values(), ends.distance_m, ends.failure, strict=True):
-            row["references"][name] = {  # type: ignore[index]
-                "distance_m": float(distance_m), "failure": Failure(failure).label
-            }  # fmt: skip
-    return rows
-
-
-def _compare(arm: str, rows: Iterable[dict[str, Any]]) -> list[Comparison]:
+def _measure(arm: str, rows: Sequence[_Row]) -> list[Crawling]:
     found = []
-    for name in REFERENCES if rows else ():
-        ends = [row["references"][name] for row in rows]
-        changes = [
-            abs(end["distance_m"] / row["recorded_m"] - 1.0)
-            for row, end in zip(rows, ends, strict=True)
-            if end["failure"] == "ok"
-        ]
-        median, worst = (float(f(changes)) if changes else np.nan for f in (np.median, np.max))
-        found.append(Comparison(arm, name, len(ends), len(ends) - len(changes), median, worst))
+    for name, title in _MEASURES.items() if rows else ():
+        low, median, high = np.quantile([row["gait"][name] for row in rows], [0.25, 0.5, 0.75])
+        found.append(Crawling(arm, title, len(rows), float(median), float(low), float(high)))
     return found

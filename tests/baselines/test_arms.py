@@ -17,10 +17,9 @@ from evolution.study.results import collect
 
 TOML = """
 seeds = [0]
-pilot_seeds = [8]
 budget_s = 300
 reference = "ga"
-threshold_shares = [0.5]
+generations = [3]
 
 [base]
 prior = "uniform"
@@ -129,7 +128,7 @@ def test_other_gait_period_is_rejected():
 )
 def test_invalid_arm_is_rejected(arm, message):
     data = {
-        "seeds": [0], "pilot_seeds": [1], "budget_s": 300, "reference": "x", "arms": {"x": arm},
+        "seeds": [0], "budget_s": 300, "reference": "x", "arms": {"x": arm},
     }  # fmt: skip
     with pytest.raises(CaterpillarError) as caught:
         StudyConfig.from_dict(data)

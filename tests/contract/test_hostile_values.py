@@ -50,7 +50,7 @@ HOSTILE = {
     "table": {"a": 1}, "object": object(), "deep": nest(3000), "array": np.array([np.nan, 2.0]),
 }  # fmt: skip
 FROM_JSON = [value for key, value in HOSTILE.items() if key not in ("object", "array")]
-STUDY = {"arms": {"ga-uniform": {"prior": "uniform"}}, "seeds": [0], "pilot_seeds": [1], "budget_s": 60}
+STUDY = {"arms": {"ga-uniform": {"prior": "uniform"}}, "seeds": [0], "budget_s": 60}
 
 
 def attempt(make, *arguments):

@@ -5,17 +5,19 @@ import polars
 import pytest
 from scipy import stats
 
-from evolution.study.analysis import analyse, arrivals, format_estimate, format_p, summarize
+from evolution.study import statistics
+from evolution.study.analysis import analyse, format_estimate, format_p, summarize
 from evolution.study.config import Cell, StudyConfig
 from evolution.study.results import Results
 from evolution.study.statistics import Estimate
+from evolution.study.times import Threshold, arrivals
 
 CONFIG = StudyConfig.from_dict(
     {
         "seeds": [0, 1, 2, 3],
-        "pilot_seeds": [9],
         "budget_s": 100,
-        "generation": 1,
+        "generations": [2],
+        "thresholds_m": [0.09],
         "base": {"ga": {"population": 5, "hall_of_fame": 1}},
         "arms": {
             "ga-uniform": {"prior": "uniform"},
@@ -63,24 +65,27 @@ def analysis(few_draws):
             ),
         ]
     )
-    return analyse(CONFIG, Results(frame, []), [0.09])
+    return analyse(CONFIG, Results(frame, []))
 
 
 def test_arrivals_are_timed_and_censored(analysis):
-    time, reached = arrivals(analysis.runs["random-preprocessed"], 0.09, 100.0)
+    time, reached = arrivals(analysis.runs["random-preprocessed"], 0.09)
     assert time.tolist() == [100.0] * 4
     assert not reached.any()
-    time, reached = arrivals(analysis.runs["ga-preprocessed"], 0.09, 100.0)
+    time, reached = arrivals(analysis.runs["ga-preprocessed"], 0.09)
     assert time.tolist() == [50.0] * 4
     assert reached.all()
 
 
 def test_times_to_the_threshold(analysis):
-    rows = {row.arm: row for row in analysis.times[0.09]}
+    rows = {row.arm: row for row in analysis.times[Threshold(0.09)]}
     assert {arm: row.reached for arm, row in rows.items()} == {
         "ga-uniform": 4, "ga-preprocessed": 4, "random-preprocessed": 0,
     }  # fmt: skip
     assert rows["ga-preprocessed"].median_s.value == 50.0
+    assert rows["ga-preprocessed"].median_generations.value == 1
+    assert rows["ga-uniform"].median_generations.value == 2
+    assert rows["random-preprocessed"].median_generations is None
     assert rows["ga-preprocessed"].running_time_s.value == 50.0
     assert rows["ga-preprocessed"].speed_up.value == pytest.approx(2.0)
     assert rows["ga-uniform"].speed_up is None
@@ -111,8 +116,10 @@ def test_final_distances(analysis):
 
 
 def test_generations_are_compared_within_one_algorithm(analysis):
-    (gain,) = analysis.gains
-    assert gain.arm == "ga-preprocessed"
+    base, gain = analysis.gains[2]
+    assert (base.arm, base.ratio, base.a12) == ("ga-uniform", None, None)
+    assert base.median_m.value == pytest.approx(0.0915)
+    assert (gain.arm, gain.runs, gain.a12.value) == ("ga-preprocessed", 4, 1.0)
     assert gain.ratio.value == pytest.approx(0.1915 / 0.0915)
     assert gain.ratio.low < gain.ratio.value < gain.ratio.high
 
@@ -129,31 +136,113 @@ def test_summary_states_the_results(analysis):
     lines = summarize(analysis)
     text = "\n".join(lines)
     name = "ga-preprocessed"
-    assert f"{name}: 4 of 4 runs reach 90 mm; speed-up 2.00 (2.00 to 2.00), log-rank p 0.016." in lines
+    assert (
+        f"{name}: 4 of 4 runs reach 90 mm, the median run after 1 (1 to ∞) generations; speed-up 2.00 "
+        "(2.00 to 2.00), log-rank p 0.016." in lines
+    )
     assert "random-preprocessed: 0 of 4 runs reach 90 mm; speed-up 0.00, log-rank p" in text
-    assert f"{name}: +109 % distance at generation 1 against the reference" in text
+    assert f"{name}: +109 % distance after 2 generations against the reference" in text
     assert "UNFINISHED" not in text
 
 
-def test_summary_is_about_the_highest_threshold(few_draws):
-    table = runs("ga-uniform", [ramp(0.0, 0.01)] * 4)
-    lines = summarize(analyse(CONFIG, Results(table, []), [0.02, 0.05]))
-    assert lines[0] == "ga-uniform: 4 of 4 runs reach 50 mm."
+THRESHOLD = Threshold(generations=2)
+
+
+def with_own_thresholds(**fields):
+    """The study with thresholds from its reference, after two generations."""
+    return StudyConfig.from_dict({**CONFIG.to_dict(), "thresholds_m": [], **fields})
+
+
+def test_threshold_is_the_median_of_the_reference(few_draws):
+    uniform = runs("ga-uniform", [ramp(0.0, step) for step in (0.01, 0.02, 0.03, 0.04)])
+    fast = runs("ga-preprocessed", [ramp(step, step) for step in (0.02, 0.03, 0.04, 0.05)])
+    found = analyse(with_own_thresholds(), Results(polars.concat([uniform, fast]), []))
+    base, row = found.times[THRESHOLD]
+    assert base.threshold_m == row.threshold_m == pytest.approx(0.225)  # of 90, 180, 270, 360 mm
+    assert (base.reached, row.reached) == (2, 3)
+    # 100 + 100 + 90 + 70 s, against 100 + 80 + 60 + 50 s
+    assert row.speed_up.value == pytest.approx(360 / 2 / (290 / 3))
+    # Each resample has its own threshold: the interval is wider than with a fixed one.
+    fixed = analyse(
+        with_own_thresholds(thresholds_m=[0.225]), Results(polars.concat([uniform, fast]), [])
+    )
+    other = fixed.times[Threshold(0.225)][1].speed_up
+    assert other.value == row.speed_up.value
+    assert other != row.speed_up
+    assert "the reference's distance after 2 generations (225 mm)" in summarize(found)[0]
+
+
+def test_threshold_is_unknown_until_the_reference_has_runs(few_draws):
+    table = runs("ga-preprocessed", [ramp(0.0, 0.01)] * 4)
+    found = analyse(with_own_thresholds(), Results(table, []))
+    (row,) = found.times[THRESHOLD]
+    assert np.isnan(row.threshold_m)
+    assert (row.reached, row.speed_up, found.speed_ups) == (0, None, {})
+    assert "after 2 generations is not known yet, or 0." in summarize(found)[0]
+
+
+@pytest.mark.slow
+def test_log_rank_test_keeps_its_level_with_the_median_of_the_reference():
+    rng, rejected, trials = np.random.default_rng(4), 0, 2000
+    for _ in range(trials):
+        # Two groups of ten runs with equal laws: each crawls at its own speed for 50 steps.
+        speed = rng.lognormal(sigma=0.5, size=(2, 10))
+        threshold = 50 * np.median(speed[0])
+        time = np.ceil(threshold / speed)
+        reached = time <= 50
+        time = np.minimum(time, 50.0)
+        rejected += statistics.log_rank(time[0], reached[0], time[1], reached[1]) < 0.05
+    assert 0.02 < rejected / trials < 0.07
+
+
+def test_arm_is_compared_with_its_own_reference(few_draws):
+    config = with_own_thresholds(references={"random-preprocessed": "ga-preprocessed"})
+    table = polars.concat(
+        [
+            runs("ga-uniform", [ramp(0.0, 0.01)] * 4),
+            runs("ga-preprocessed", [ramp(0.0, 0.02)] * 4),
+            runs("random-preprocessed", [ramp(0.02, 0.02)] * 4),
+        ]
+    )
+    rows = {row.arm: row for row in analyse(config, Results(table, [])).times[THRESHOLD]}
+    levels_m = [row.threshold_m for row in rows.values()]
+    assert levels_m == pytest.approx([0.09, 0.18, 0.18])
+    assert rows["ga-preprocessed"].speed_up is None
+    assert rows["random-preprocessed"].speed_up.value == pytest.approx(10 / 9)
+
+
+def test_speed_up_is_known_for_all_distances_that_the_reference_reached(analysis):
+    levels_m, estimates = zip(*analysis.speed_ups["ga-preprocessed"], strict=True)
+    assert levels_m[-1] == pytest.approx(0.093)
+    assert np.diff(levels_m) == pytest.approx(0.093 / 15)
+    assert estimates[-1].value == pytest.approx(400 / (230 / 4))  # 400 s for one run of four
+    assert [estimate.value for _, estimate in analysis.speed_ups["random-preprocessed"]][-1] == 0.0
+
+
+def test_longer_runs_are_censored_at_their_own_budget(few_draws):
+    config = with_own_thresholds(long_seeds=[1], long_budget_s=200)
+    table = runs("ga-uniform", [ramp(0.0, 0.01), ramp(0.0, 0.01, 20), ramp(0.0, 0.01)])
+    found = analyse(config, Results(table, []))
+    time, reached = arrivals(found.runs["ga-uniform"], 0.15)
+    assert (time.tolist(), reached.tolist()) == ([100, 160, 100], [False, True, False])
+    assert found.finals[0].best_m == pytest.approx(0.09)  # when the budget of all arms is spent
 
 
 def test_summary_of_an_unfinished_study_names_what_is_missing(few_draws):
     table = runs("ga-uniform", [[0.01]])
-    lines = summarize(analyse(CONFIG, Results(table, [Cell("ga-preprocessed", 1)]), None))
-    assert lines[0].startswith("UNFINISHED: 1 of 13 runs are missing (ga-preprocessed seed 1)")
-    assert "pilot runs are not finished" in lines[1]
+    lines = summarize(analyse(CONFIG, Results(table, [Cell("ga-preprocessed", 1)])))
+    assert lines[0].startswith("UNFINISHED: 1 of 12 runs are missing (ga-preprocessed seed 1)")
 
 
 def test_speed_up_is_infinite_if_no_reference_run_reaches_the_threshold(few_draws):
     table = polars.concat(
         [runs("ga-uniform", [[0.01] * 10] * 4), runs("ga-preprocessed", [ramp(0.01, 0.02)] * 4)]
     )
-    text = "\n".join(summarize(analyse(CONFIG, Results(table, []), [0.09])))
-    assert "4 of 4 runs reach 90 mm; speed-up ∞, log-rank" in text
+    text = "\n".join(summarize(analyse(CONFIG, Results(table, []))))
+    assert (
+        "4 of 4 runs reach 90 mm, the median run after 1 (1 to ∞) generations; speed-up ∞, log-rank"
+        in text
+    )
 
 
 @pytest.mark.parametrize(

@@ -2,20 +2,18 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
-import polars
 import pytest
 
 from caterpillar_env.errors import CaterpillarError
 from evolution.study.config import Cell, StudyConfig, begin, preset, read_toml
-from evolution.study.results import read_thresholds
 
 SMALL = {
     "seeds": [0, 1],
-    "pilot_seeds": [8],
     "budget_s": 240,
-    "generation": 1,
+    "generations": [2],
     "base": {
         "ga": {"population": 4, "hall_of_fame": 1},
         "physics": {"num_segments": 2, "timestep_s": 0.01},
@@ -56,7 +54,6 @@ def test_presets_are_complete_and_raise_no_warnings(name, arms):
     config = preset(name)
     assert len(config.arms) == arms
     assert config.reference in config.arms
-    assert not set(config.seeds) & set(config.pilot_seeds)
     assert config.warnings() == []
 
 
@@ -65,29 +62,49 @@ def test_pilot_includes_the_controls():
     assert controls <= set(preset("pilot").arms)
 
 
-def test_pilot_runs_come_first():
-    config = StudyConfig.from_dict(SMALL)
-    assert len(config.cells()) == 1 + 2 * 2
-    assert config.cells()[0] == Cell("ga-uniform", 8)
+def test_all_arms_run_with_one_seed_before_the_next():
+    arms = ("ga-uniform", "cma-es")
+    assert StudyConfig.from_dict(SMALL).cells() == [Cell(arm, seed) for seed in (0, 1) for arm in arms]
+
+
+def test_some_runs_of_the_reference_are_longer():
+    config = StudyConfig.from_dict(changed(long_seeds=[1, 5], long_budget_s=600))
+    assert [config.budget_of(cell) for cell in config.cells()] == [240, 240, 600, 240]
+
+
+def test_paper_preset_has_the_evaluations_of_the_paper():
+    config = preset("paper")
+    run = config.arms["ga-uniform"].config
+    assert config.budget_s == 30 * replace(run, generations=50).evaluations() == 285_300
+    assert config.long_budget_s == 30 * replace(run, generations=114).evaluations() == 650_100
+    assert len(config.long_seeds) == len(config.seeds) / 3
+    assert len([seed for seed in config.long_seeds if seed < 10]) == 3
+
+
+def test_arms_can_have_their_own_references():
+    arms = {name: {} for name in ("ga-uniform", "a", "b", "c")}
+    config = StudyConfig.from_dict(changed(arms=arms, references={"c": "b"}))
+    assert [config.reference_of(arm) for arm in arms] == ["ga-uniform", "ga-uniform", "b", "b"]
 
 
 def test_budget_that_is_too_short_gives_a_warning():
     (warning,) = StudyConfig.from_dict(changed(budget_s=209)).warnings()
-    assert warning.startswith("arms.ga-uniform: generation 1, at which arms are compared, may not")
+    assert warning.startswith("arms.ga-uniform: 2 generations, after which arms are compared, may not")
     # 4 evaluations and 3 more, 30 s each
     assert StudyConfig.from_dict(changed(budget_s=210)).warnings() == []
 
 
 def test_generations_are_comparable_within_one_algorithm():
-    assert list(StudyConfig.from_dict(SMALL).comparable()) == ["ga-uniform"]
-    assert list(preset("pilot").comparable()) == ["ga-uniform", "ga-preprocessed", "ga-mirrored"]
+    assert StudyConfig.from_dict(SMALL).comparable() == ["ga-uniform"]
+    assert preset("pilot").comparable() == ["ga-uniform", "ga-preprocessed", "ga-mirrored"]
 
 
 def test_arms_and_seeds_can_be_added_to_a_study(tmp_path):
     config = StudyConfig.from_dict(SMALL)
     begin(config, tmp_path)
     arms = {**SMALL["arms"], "random": {"optimizer": "random"}}
-    begin(StudyConfig.from_dict(changed(arms=arms, seeds=[0, 1, 2])), tmp_path)
+    longer = {"long_seeds": [2], "long_budget_s": 300}
+    begin(StudyConfig.from_dict(changed(arms=arms, seeds=[0, 1, 2], **longer)), tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -95,8 +112,8 @@ def test_arms_and_seeds_can_be_added_to_a_study(tmp_path):
     [
         ({"budget_s": 300}, "a study with other budget_s"),
         ({"reference": "cma-es"}, "a study with other reference"),
-        ({"pilot_seeds": [9]}, "a study with other pilot_seeds"),
-        ({"threshold_shares": [0.9]}, "a study with other threshold_shares"),
+        ({"references": {"ga-uniform": "cma-es"}}, "a study with other references.ga-uniform"),
+        ({"generations": [1]}, "a study with other generations"),
         ({"arms": {**SMALL["arms"], "cma-es": {"optimizer": "random"}}}, "with other arms.cma-es"),
     ],
     ids=str,
@@ -120,13 +137,20 @@ def test_folder_with_other_files_is_rejected(tmp_path):
         (changed(seeds=[]), "seeds must be a list of different integers from 0; got ()"),
         (changed(seeds=[1, 1]), "seeds must be a list of different"),
         (changed(seeds=3), "seeds = 3 must be a list"),
-        (changed(pilot_seeds=[0]), "seeds [0] are pilot seeds too"),
+        (changed(pilot_seeds=[8]), "a study has no pilot_seeds; its fields are base, arms, seeds"),
+        (changed(long_seeds=[0]), "long_budget_s = 0.0 must be at least budget_s = 240"),
+        (changed(references={"x": "cma-es"}), "references: 'x' must be one of the arms ga-uniform"),
+        (
+            changed(references={"ga-uniform": "cma-es", "cma-es": "ga-uniform"}),
+            "references.ga-uniform = 'cma-es' is compared with another arm itself",
+        ),
         (changed(reference="best"), "reference = 'best' must be one of the arms ga-uniform"),
         (changed(budget_s=0), "budget_s = 0 must be at least 30"),
         (changed(budget_s="long"), "budget_s = 'long' must be a finite number"),
-        (changed(threshold_shares=[]), "threshold_shares must be a list of positive"),
-        (changed(generation="x"), "generation = 'x' must be an integer"),
+        (changed(generations=[]), "generations must be a list of different integers from 1; got ()"),
+        (changed(generations=["x"]), "an entry of generations = 'x' must be an integer"),
         (changed(arms={**SMALL["arms"], "a/b": {}}), "the name of an arm is used for a folder"),
+        (changed(thresholds_m=[-1]), "thresholds_m must be a list of positive numbers; got (-1,)"),
         (changed(luck=1), "a study has no luck; its fields are base, arms, seeds"),
         ({k: v for k, v in SMALL.items() if k != "seeds"}, "seeds must be a list of different"),
         (changed(arms={"ga-uniform": {"seed": 3}}), "remove seed, which the study sets"),
@@ -144,16 +168,6 @@ def test_folder_with_other_files_is_rejected(tmp_path):
 def test_unusable_studies_are_rejected(data, message):
     with pytest.raises(CaterpillarError, match=re.escape(message)):
         StudyConfig.from_dict(data)
-
-
-def test_thresholds_in_metres_need_no_pilot_runs(tmp_path):
-    config = StudyConfig.from_dict(changed(pilot_seeds=[], thresholds_m=[0.13, 0.2]))
-    assert len(config.cells()) == 2 * 2
-    assert read_thresholds(config, tmp_path, polars.DataFrame()) == [0.13, 0.2]
-    with pytest.raises(CaterpillarError, match="thresholds_m replaces the pilot runs"):
-        StudyConfig.from_dict(changed(thresholds_m=[0.13]))
-    with pytest.raises(CaterpillarError, match="thresholds_m must be a list of positive numbers"):
-        StudyConfig.from_dict(changed(pilot_seeds=[], thresholds_m=[-1]))
 
 
 def test_search_study_compares_with_the_uniform_genetic_algorithm():

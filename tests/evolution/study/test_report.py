@@ -4,26 +4,41 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from evolution.study import report
-from evolution.study.analysis import Analysis, Finals, Gain, Times
+from evolution.study.analysis import Analysis, Finals, Gain
 from evolution.study.config import StudyConfig
 from evolution.study.results import Run
 from evolution.study.statistics import Estimate
-from evolution.study.winners import Comparison, Winner
+from evolution.study.times import Threshold, Times
+from evolution.study.winners import Comparison, Crawling, Judgement, Winner
 
 CONFIG = StudyConfig.from_dict(
-    {"seeds": [0, 1], "pilot_seeds": [9], "budget_s": 100, "arms": {"ga-uniform": {"prior": "uniform"}}}
+    {"seeds": [0, 1], "budget_s": 100, "arms": {"ga-uniform": {"prior": "uniform"}}}
 )
 SPENT_S = np.array([30.0, 60.0])
 
 
 def make_run(seed, best_m, failure=("ok", "ok")):
-    return Run(seed, SPENT_S, np.array(best_m), np.array(failure), np.array([0, 0]), 1)
+    return Run(seed, SPENT_S, np.array(best_m), np.array(failure), np.array([0, 0]), 1, 100.0)
 
 
+NEVER = Estimate(1600.0, np.nan, np.nan)
+RATIO = Estimate(2.0, 1.5, np.inf)
+TIMES = Times(
+    "ga-uniform",
+    0.05,
+    2,
+    1,
+    Estimate(60.0, 50.0, 70.0),
+    Estimate(3.0, 2.0, np.inf),
+    NEVER,
+    RATIO,
+    0.0162,
+)
 STUDY = Analysis(
-    config=CONFIG, missing=(), thresholds_m=[0.05], times={}, finals=[], gains=[],
+    config=CONFIG, missing=(), times={Threshold(0.05): [TIMES]}, finals=[], gains={}, speed_ups={},
     runs={"ga-uniform": [make_run(0, [0.0, 0.02]), make_run(1, [0.01, 0.06], ("ok", "tipped"))]},
     ecdf={"ga-uniform": np.array([0.0, 0.5])}, grid_s=np.array([0.0, 29.0, 30.0, 61.0]),
 )  # fmt: skip
@@ -45,37 +60,79 @@ def test_survival_ends_at_the_budget():
     (curve,) = report.draw_survival(STUDY).axes[0].lines
     assert curve.get_xdata()[[0, 1, -1]].tolist() == [0.0, 0.06, 0.1]
     assert curve.get_ydata()[[0, 1, -1]].tolist() == [1.0, 0.5, 0.5]
-    assert report.draw_survival(replace(STUDY, thresholds_m=None)) is None
+    unknown = {Threshold(generations=9): [TIMES._replace(threshold_m=np.nan)]}
+    assert report.draw_survival(replace(STUDY, times=unknown)) is None
+
+
+def test_figure_over_generations_is_dashed_where_runs_have_ended():
+    def run(*best_m):
+        count = len(best_m)
+        spent_s = 30.0 * np.arange(1, count + 1)
+        return Run(0, spent_s, np.array(best_m), np.full(count, "ok"), np.arange(count), count, 99.0)
+
+    runs = [run(0.0, 0.01), run(0.02, 0.02, 0.05), run(0.03, 0.04, 0.06, 0.1), run(0.01, 0.02, 0.03)]
+    (axis,) = report.draw_generations(replace(STUDY, runs={"ga-uniform": runs})).axes
+    whole, dashed = axis.lines
+    assert (whole.get_xdata().tolist(), dashed.get_xdata().tolist()) == ([1, 2], [2, 3])
+    assert whole.get_ydata() == pytest.approx([15, 20])
+    assert dashed.get_ydata() == pytest.approx([20, 50])  # of the three longer runs; not of the last
+
+
+def test_speed_ups_beyond_the_axis_are_triangles():
+    rows = [(0.01, Estimate(2.0, 1.0, np.inf)), (0.02, Estimate(np.inf, np.nan, np.nan)),
+            (0.03, Estimate(0.0, np.nan, np.nan))]  # fmt: skip
+    (axis,) = report.draw_speed_ups(replace(STUDY, speed_ups={"ga-uniform": rows})).axes
+    inside, infinite, zero, _ = axis.lines
+    assert (inside.get_xdata().tolist(), inside.get_ydata().tolist()) == ([10.0], [2.0])
+    assert (infinite.get_xdata().tolist(), zero.get_xdata().tolist()) == ([20.0], [30.0])
+    assert report.draw_speed_ups(STUDY) is None
+
+
+def test_speed_up_is_drawn_over_the_number_of_genes():
+    arms = {
+        f"{count}-{prior}": {"prior": prior, "physics": {"num_segments": count}}
+        for count in (4, 8) for prior in ("uniform", "body")
+    }  # fmt: skip
+    references = {"4-body": "4-uniform", "8-body": "8-uniform"}
+    config = StudyConfig.from_dict(
+        {"seeds": [0], "budget_s": 100, "arms": arms, "reference": "4-uniform", "references": references}
+    )
+    rows = [TIMES._replace(arm=arm, speed_up=RATIO if "body" in arm else None) for arm in arms]
+    drawn = replace(STUDY, config=config, times={Threshold(generations=50): rows})
+    (axis,) = report.draw_genes(drawn).axes
+    assert axis.lines[0].get_xdata().tolist() == [20, 36]
+    assert axis.lines[0].get_ydata().tolist() == [2.0, 2.0]
+    assert report.draw_genes(STUDY) is None
 
 
 def test_page_shows_every_number_in_its_unit(tmp_path):
-    ratio = Estimate(2.0, 1.5, np.inf)
-    never = Estimate(1600.0, np.nan, np.nan)
-    times = Times("ga-uniform", 2, 1, Estimate(60.0, 50.0, 70.0), never, ratio, 0.0162)
     median = Estimate(0.04, 0.03, 0.05)
-    finals = Finals("ga-uniform", 2, median, 0.06, 0.25, ratio, 0.0001)
-    winner = Winner("ga-uniform", 1, 0.06, 0.0301, "ok")
+    finals = Finals("ga-uniform", 2, median, 0.06, 0.25, RATIO, 0.0001)
     analysis = replace(
-        STUDY, runs={}, times={0.05: [times]}, finals=[finals], gains=[Gain("ga-uniform", 2, ratio)]
+        STUDY, runs={}, finals=[finals], gains={50: [Gain("ga-uniform", 2, median, RATIO, None)]}
     )
-    compared = Comparison("ga-uniform", "Runge-Kutta", 2, 1, 0.0214, 0.05)
-    page = report.write(analysis, [winner], tmp_path, [compared]).read_text("utf-8")
+    judgement = Judgement(
+        [Winner("ga-uniform", 1, 0.06, 0.0301, "ok")],
+        [Comparison("ga-uniform", "Runge-Kutta", 2, 1, 0.979, 0.95, 1.02)],
+        [Crawling("ga-uniform", "load on the body", 2, 0.03, 0.01, 0.05)],
+    )
+    page = report.write(analysis, judgement, tmp_path).read_text("utf-8")
     rows = [row.split("<td>")[1:] for row in re.findall(r"<tr>(<td>.*)</tr>", page)]
     fast = "2.00 (1.50 to ∞)"
     assert rows == [
-        ["ga-uniform", "1 of 2", "60 (50 to 70)", "1,600", fast, "0.016"],
+        ["ga-uniform", "50.0", "1 of 2", "60 (50 to 70)", "3 (2 to ∞)", "1,600", fast, "0.016"],
         ["ga-uniform", "2", "40.0 (30.0 to 50.0)", "60.0", "25 %", fast, "&lt; 0.001"],
-        ["ga-uniform", "2", fast],
+        ["ga-uniform", "2", "40.0 (30.0 to 50.0)", fast, ""],
         ["ga-uniform", "1", "60.0", "30.1", "artefact of the timestep"],
-        ["ga-uniform", "Runge-Kutta", "2", "1", "2.1 %", "5.0 %"],
+        ["ga-uniform", "Runge-Kutta", "2", "1", "97.9 %", "95.0 % to 102.0 %"],
+        ["ga-uniform", "2", "load on the body", "3.0 %", "1.0 % to 5.0 %"],
     ]
-    assert "Time to 50.0 mm" in page
-    assert "over the pilot seeds" in page
+    assert "Time to 50 mm" in page
+    assert "After 50 generations" in page
+    assert "A threshold is the median\ndistance of the reference" in page
 
 
-def test_page_does_not_derive_given_thresholds_from_pilot_runs(tmp_path):
-    config = replace(CONFIG, pilot_seeds=(), thresholds_m=(0.05,))
-    page = report.write(
-        replace(STUDY, config=config, runs={}, thresholds_m=None), [], tmp_path
-    ).read_text("utf-8")
-    assert "over the pilot seeds" not in page
+def test_page_does_not_derive_given_thresholds_from_the_reference(tmp_path):
+    config = replace(CONFIG, thresholds_m=(0.05,))
+    page = report.write(replace(STUDY, config=config, runs={}), Judgement([], [], []), tmp_path)
+    assert "A threshold is the median" not in page.read_text("utf-8")

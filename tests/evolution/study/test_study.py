@@ -21,10 +21,9 @@ from evolution.run.database import is_in_use
 from evolution.run.history import History
 from evolution.run.journal import Journal, read_simulated_s
 from evolution.study import winners
-from evolution.study.analysis import analyse
 from evolution.study.cells import Processes, RayTasks, run_study
 from evolution.study.config import Cell, StudyConfig, begin, load
-from evolution.study.results import DATA, Run, collect, read_finished, read_runs, read_thresholds
+from evolution.study.results import DATA, Run, collect, read_kept, read_run, read_runs
 
 TOML = Path(__file__).with_name("small.toml").read_text("utf-8")
 SMALL = tomllib.loads(TOML)
@@ -65,7 +64,7 @@ def test_every_run_spends_its_budget_and_stops(finished):
     results = collect(config, finished)
     assert not results.missing
     spent = results.table.group_by("arm", "seed").agg(polars.col("simulated_s").sum())
-    assert len(spent) == 5
+    assert len(spent) == 4
     for total in spent["simulated_s"]:
         assert 240 <= total < 240 + 4 * 30
 
@@ -90,15 +89,15 @@ def test_an_interrupted_study_is_resumed_with_the_same_result(uninterrupted, tmp
 
 def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(tmp_path):
     arms = {"ga-uniform": {"prior": "uniform"}}
-    config = StudyConfig.from_dict(changed(seeds=[0], budget_s=90, arms=arms))
+    config = StudyConfig.from_dict(changed(budget_s=90, arms=arms))
     begin(config, tmp_path)
-    broken = Cell("ga-uniform", 8).folder(tmp_path)
+    broken = Cell("ga-uniform", 1).folder(tmp_path)
     broken.mkdir(parents=True)
     (broken / "journal.sqlite").write_text("not a journal")
     ((cell, error),) = run_study(config, tmp_path, Processes(2))
-    assert cell == Cell("ga-uniform", 8)
+    assert cell == Cell("ga-uniform", 1)
     assert "is damaged" in error
-    assert read_finished(config, Cell("ga-uniform", 0), tmp_path)
+    assert read_run(config, Cell("ga-uniform", 0), tmp_path).finished
 
 
 def test_progress_of_a_run_is_read_from_its_journal(finished):
@@ -129,9 +128,11 @@ class Waiting:
 
 
 def test_progress_counts_every_run_up_to_its_budget(tmp_path):
-    config = StudyConfig.from_dict(changed(arms={"ga-uniform": SMALL["arms"]["ga-uniform"]}))
+    config = StudyConfig.from_dict(
+        changed(seeds=[2, 0, 1], arms={"ga-uniform": SMALL["arms"]["ga-uniform"]})
+    )
     arm, workers, reports = config.arms["ga-uniform"], Waiting(), []
-    for seed, evaluations in ((8, 9), (0, 4), (1, 8)):  # of 30 s each; the budget is 240 s
+    for seed, evaluations in ((2, 9), (0, 4), (1, 8)):  # of 30 s each; the budget is 240 s
         folder = Cell("ga-uniform", seed).folder(tmp_path)
         folder.mkdir(parents=True)
         with Journal.create(folder, arm.run_config(seed, config.budget_s).to_dict()) as journal:
@@ -177,7 +178,7 @@ def test_table_keeps_runs_whose_folders_were_deleted(finished, tmp_path):
 def test_a_study_can_be_read_while_it_runs(finished):
     config = load(finished)
     with Journal(config.cells()[0].folder(finished)):
-        assert read_finished(config, config.cells()[0], finished)
+        assert read_run(config, config.cells()[0], finished).finished
         assert collect(config, finished).missing == []
 
 
@@ -188,7 +189,7 @@ def test_runs_of_a_study_that_is_killed_end_with_it(tmp_path):
         [sys.executable, "-c", "from evolution.cli import main; main(['study', 'small.toml'])"],
         cwd=tmp_path,
     )
-    cell = tmp_path / "studies" / "small" / "cells" / "ga-uniform" / "seed-8"
+    cell = tmp_path / "studies" / "small" / "cells" / "ga-uniform" / "seed-0"
     while not is_in_use(cell):
         time.sleep(0.02)
     parent.kill()
@@ -221,48 +222,16 @@ def test_cells_on_ray_give_the_same_bits(uninterrupted, tmp_path):
 # Results
 
 
-def test_thresholds_come_from_the_pilot_seeds_and_never_change(finished):
-    config = load(finished)
-    frame = collect(config, finished).table
-    rows = frame.filter(seed=8, failure="ok")
-    top = read_runs(frame, config, (8,))["ga-uniform"][0].best_m[-1]
-    assert rows["distance_m"].max() >= top > 0
-    assert read_thresholds(config, finished, frame) == pytest.approx([0.5 * top, 0.75 * top, top])
-    assert read_thresholds(config, finished, frame.clear()) == pytest.approx(
-        [0.5 * top, 0.75 * top, top]
-    )
-
-
-def test_thresholds_are_shares_of_the_median_of_all_pilot_runs(tmp_path):
-    config = StudyConfig.from_dict(changed(pilot_seeds=[7, 8, 9]))
-    ends_m = {0: 0.5, 7: 0.09, 8: 0.01, 9: 0.02}
-    rows = [
-        {
-            "arm": "ga-uniform", "seed": seed, "evaluation": 0, "generation": 0, "failure": "ok",
-            "distance_m": end_m, "simulated_s": 30.0,
-        }
-        for seed, end_m in ends_m.items()
-    ]  # fmt: skip
-    assert read_thresholds(config, tmp_path, polars.DataFrame(rows[:-1])) is None
-    assert read_thresholds(config, tmp_path, polars.DataFrame(rows)) == [0.01, 0.015, 0.02]
-
-
-def test_pilot_seeds_are_excluded_from_the_tables(finished):
-    config = load(finished)
-    found = analyse(config, collect(config, finished), [0.001])
-    assert {run.seed for runs in found.runs.values() for run in runs} == {0, 1}
-    assert {row.runs for row in found.finals} == {2}
-    assert [row.arm for row in found.times[0.001]] == list(config.arms)
-
-
 def test_distances_of_a_run_by_time_and_generation():
     run = Run(
         seed=0, spent_s=np.array([10.0, 20.0, 35.0, 50.0]), best_m=np.array([0.0, 0.01, 0.01, 0.03]),
-        failure=np.full(4, "ok"), generation=np.array([0, 0, 1, 1]), generations=2,
+        failure=np.full(4, "ok"), generation=np.array([0, 0, 1, 1]), generations=2, budget_s=60.0,
     )  # fmt: skip
     assert [run.time_to(distance_m) for distance_m in (0.01, 0.02, 0.04)] == [20.0, 50.0, np.inf]
-    assert [run.at_generation(n) for n in (0, 1)] == [0.01, 0.03]
-    assert np.isnan(run.at_generation(2))
+    assert [run.generations_to(distance_m) for distance_m in (0.01, 0.02, 0.04)] == [1, 2, np.inf]
+    assert [run.best_after(count) for count in (1, 2)] == [0.01, 0.03]
+    assert np.isnan(run.best_after(3))
+    assert [run.best_at(time_s) for time_s in (9.0, 20.0, 60.0)] == [0.0, 0.01, 0.03]
 
 
 def test_evaluations_beyond_the_budget_do_not_count():
@@ -278,7 +247,7 @@ def test_evaluations_beyond_the_budget_do_not_count():
             "simulated_s": [10.0, 4.0, 16.0, 10.0],
         }
     )  # fmt: skip
-    (run,) = read_runs(frame, config, (0, 1))["cma-es"]
+    (run,) = read_runs(frame, config)["cma-es"]
     assert run.spent_s.tolist() == [10.0, 14.0, 30.0]
     assert run.generations == 1  # the second is not complete
     assert run.best_m.tolist() == [0.01, 0.01, 0.01]
@@ -298,7 +267,7 @@ def test_robots_that_racing_stopped_reach_no_distance():
             "simulated_s": [10.0, 30.0, 30.0],
         }
     )
-    (run,) = read_runs(frame, config, (0, 1))["cma-es"]
+    (run,) = read_runs(frame, config)["cma-es"]
     assert run.best_m.tolist() == [0.0, 0.1, 0.2]
     assert run.spent_s.tolist() == [10.0, 40.0, 70.0]
 
@@ -307,13 +276,13 @@ def test_report_is_one_page_with_all_arms(finished):
     page = (finished / "report.html").read_text()
     for arm in SMALL["arms"]:
         assert f"<td>{arm}" in page
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count("data:image/png;base64,") == 5
     assert "http" not in page
     assert "This is a pilot study: with 2 runs" in page
 
 
 def test_report_can_be_made_again_from_the_table_alone(finished, tmp_path, capsys):
-    for name in ("study.json", "thresholds.json", DATA):
+    for name in ("study.json", DATA):
         (tmp_path / name).write_bytes((finished / name).read_bytes())
     with Journal(Cell("cma-es", 0).folder(finished)):  # as if it were still running
         assert cli.main(["report", str(finished)]) == 0
@@ -370,8 +339,9 @@ def test_study_with_a_failed_run_exits_with_status_1(finished, tmp_path, monkeyp
 
 def test_best_robots_are_simulated_again_once(finished, capsys):
     rows = json.loads((finished / "winners" / "winners.json").read_text())
-    assert set(rows) == set(SMALL["arms"])
-    for arm, row in rows.items():
+    assert {row["arm"] for row in rows} == set(SMALL["arms"])
+    for row in rows:
+        arm = row["arm"]
         assert row["recorded_m"] > 0
         assert (finished / "winners" / f"{arm}.json").exists()
         assert (
@@ -385,7 +355,7 @@ def test_best_robots_are_simulated_again_once(finished, capsys):
 
 def test_report_compares_all_winners_on_request(finished, tmp_path, monkeypatch, capsys):
     shutil.copytree(finished, tmp_path / "study")
-    monkeypatch.setattr(winners, "REFERENCES", {"5 ms": {"timestep_s": 0.005}})
+    monkeypatch.setattr(winners, "CONDITIONS", {"5 ms": {"timestep_s": 0.005}})
     assert cli.main(["report", str(tmp_path / "study"), "--all-winners"]) == 0
     printed = capsys.readouterr().out
     for arm in SMALL["arms"]:
@@ -403,6 +373,55 @@ def test_runs_in_the_table_are_not_repeated_without_their_folders(finished, tmp_
     assert run_study(load(study), study, Never(1)) == []
     before = polars.read_parquet(study / DATA)
     assert collect(load(study), study).table.equals(before)
+
+
+def test_unfinished_and_longer_runs_continue_from_the_table_alone(finished, tmp_path):
+    whole = polars.read_parquet(finished / DATA)
+    halved = Cell("cma-es", 0)
+    is_halved = (polars.col("arm") == halved.arm) & (polars.col("seed") == halved.seed)
+    kept = whole.filter(~is_halved | (polars.col("generation") == 0))
+    assert len(whole) - len(kept) > 0
+    config = StudyConfig.from_dict(changed(long_seeds=[1], long_budget_s=300))
+    begin(config, tmp_path)
+    kept.write_parquet(tmp_path / DATA)
+    longer = Cell("ga-uniform", 1)
+    assert collect(config, tmp_path).missing == [halved, longer]
+    assert run_study(config, tmp_path, Processes(2)) == []
+    assert {path.parent.name for path in tmp_path.glob("cells/*/*")} == set(SMALL["arms"])
+    results = collect(config, tmp_path)
+    assert not results.missing
+    rows = results.table.filter(arm=longer.arm, seed=longer.seed)
+    first = whole.filter(arm=longer.arm, seed=longer.seed)
+    assert first["simulated_s"].sum() < 300 <= rows["simulated_s"].sum()
+    assert rows[: len(first)].equals(first)
+    others = ~((polars.col("arm") == longer.arm) & (polars.col("seed") == longer.seed))
+    assert results.table.filter(others).equals(whole.filter(others))
+
+
+def test_run_whose_genomes_have_changed_is_not_continued(finished, tmp_path):
+    config = load(finished)
+    rows = polars.read_parquet(finished / DATA).filter(generation=0)
+    rows.with_columns(polars.col("segment_mass_kg") * 1.01).write_parquet(tmp_path / DATA)
+    cell = config.cells()[0]
+    with pytest.raises(CaterpillarError, match="the genomes of generation 0 differ from the recorded"):
+        config.arms[cell.arm].restore(
+            read_kept(tmp_path)[cell], cell.folder(tmp_path), cell.seed, config.budget_s
+        )
+    assert not cell.folder(tmp_path).exists()
+
+
+def test_stopped_study_leaves_its_evaluations_in_the_table(finished, tmp_path, monkeypatch):
+    shutil.copytree(finished, tmp_path / "study")
+    (tmp_path / "study" / DATA).unlink()
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("evolution.cli.study.run_study", stop)
+    arguments = ["study", str(Path(__file__).with_name("small.toml")), "--out", str(tmp_path / "study")]
+    assert cli.main(arguments) == 130
+    before, after = (polars.read_parquet(folder / DATA) for folder in (finished, tmp_path / "study"))
+    assert after.equals(before)
 
 
 def test_only_studies_have_winners_to_compare(finished, capsys):

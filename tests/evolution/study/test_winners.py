@@ -1,20 +1,26 @@
 """The best robots of a study, simulated again."""
 
+import shutil
+import tomllib
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import polars
 import pytest
 
 from caterpillar_env.physics import Physics
-from caterpillar_env.robot import Outcomes, Robot
+from caterpillar_env.robot import Outcomes, Robot, simulate
 from caterpillar_env.task import Failure
+from caterpillar_env.validation.gaits import measure_gait
 from caterpillar_env.validation.robots import random_robots
+from evolution import evolve
+from evolution import load as load_run
 from evolution.study import winners
 from evolution.study.analysis import analyse
-from evolution.study.config import Cell, StudyConfig
-from evolution.study.results import Results, Run
-from evolution.study.winners import Comparison, Winner, compare_winners, find_winners
+from evolution.study.config import Cell, StudyConfig, begin
+from evolution.study.results import Results, Run, collect
+from evolution.study.winners import Comparison, Crawling, Winner, judge_winners
 
 
 @pytest.mark.parametrize(
@@ -43,6 +49,8 @@ class ArtificialRobot:
 class ArtificialArm:
     """An arm whose evaluation number n crawls n / 10 m."""
 
+    restorable = False
+
     def robot(self, folder, evaluation):
         return ArtificialRobot(evaluation / 10)
 
@@ -50,7 +58,7 @@ class ArtificialArm:
 def make_run(seed, best_m):
     """A run of seven evaluations; the one with the best distance is as in `ArtificialArm`."""
     curve_m = np.minimum(np.arange(7) / 10, best_m)
-    return Run(seed, 30.0 * np.arange(1, 8), curve_m, np.full(7, "ok"), np.zeros(7, dtype=int), 1)
+    return Run(seed, 30.0 * np.arange(1, 8), curve_m, np.full(7, "ok"), np.zeros(7, dtype=int), 1, 210.0)
 
 
 @pytest.fixture
@@ -58,10 +66,10 @@ def study(tmp_path):
     """Return a function from best distances by seed to the winners of a study with one arm."""
 
     def find(best_m):
-        config = StudyConfig({"a": ArtificialArm()}, (0, 1, 2, 3), (9,), 210, reference="a")
+        config = StudyConfig({"a": ArtificialArm()}, (0, 1, 2, 3), 210, reference="a")
         runs = {"a": [make_run(seed, best) for seed, best in best_m.items()]}
-        empty = analyse(config, Results(polars.DataFrame(), []), None)
-        return find_winners(replace(empty, runs=runs), tmp_path)
+        empty = analyse(config, Results(polars.DataFrame(), []))
+        return judge_winners(replace(empty, runs=runs), tmp_path).winners
 
     return find
 
@@ -95,6 +103,8 @@ def test_arm_whose_robots_never_crawled_has_no_winner(study, tmp_path):
 class RandomRobots:
     """An arm whose evaluation number n is a random robot."""
 
+    restorable = False
+
     robots = random_robots(7, 3, Physics(num_segments=2, timestep_s=0.01))
 
     def robot(self, folder, evaluation):
@@ -104,38 +114,43 @@ class RandomRobots:
 @pytest.fixture
 def compare(tmp_path, monkeypatch):
     """Return a function from best distances by seed to the comparisons of a study with one arm."""
-    monkeypatch.setattr(winners, "REFERENCES", {"5 ms": {"timestep_s": 0.005}})
+    monkeypatch.setattr(winners, "CONDITIONS", {"5 ms": {"timestep_s": 0.005}})
+    monkeypatch.setattr(winners, "REFERENCE_TIMESTEP_S", 0.005)
 
     def run(best_m):
-        config = StudyConfig({"a": RandomRobots()}, (0, 1, 2), (9,), 210, reference="a")
-        empty = analyse(config, Results(polars.DataFrame(), []), None)
+        config = StudyConfig({"a": RandomRobots()}, (0, 1, 2), 210, reference="a")
+        empty = analyse(config, Results(polars.DataFrame(), []))
         runs = {"a": [make_run(seed, best) for seed, best in best_m.items()]}
-        return compare_winners(replace(empty, runs=runs), tmp_path)
+        return judge_winners(replace(empty, runs=runs), tmp_path, every_run=True)
 
     return run
 
 
-def test_best_robot_of_every_run_is_simulated_with_the_reference(compare, tmp_path):
+def test_best_robot_of_every_run_is_simulated_under_the_conditions(compare, tmp_path):
     recorded_m = {0: 0.2, 1: 0.3, 2: 0.4}
     for seed in recorded_m:
         Cell("a", seed).folder(tmp_path).mkdir(parents=True)
-    (found,) = compare(recorded_m)
-    ends = [RandomRobots.robots[number].simulate(0.005) for number in (2, 3, 4)]
-    errors = [
-        abs(end.distance_m[0] / recorded - 1)
-        for end, recorded in zip(ends, recorded_m.values(), strict=True)
+    found = compare(recorded_m)
+    robots = RandomRobots.robots[2:5]
+    shares = [
+        end.distance_m[0] / recorded
+        for end, recorded in zip(
+            [robot.simulate(0.005) for robot in robots], recorded_m.values(), strict=True
+        )
         if end.failure[0] == Failure.NONE
     ]
-    assert 0 < len(errors) <= 3
-    failed = 3 - len(errors)
-    assert found == Comparison(
-        "a", "5 ms", 3, failed, pytest.approx(np.median(errors)), pytest.approx(max(errors))
-    )
+    assert 0 < len(shares) <= 3
+    middle, low, high = (pytest.approx(f(shares)) for f in (np.median, min, max))
+    assert found.comparisons == [Comparison("a", "5 ms", 3, 3 - len(shares), middle, low, high)]
+    loads = np.quantile([measure_gait(robot).body_load for robot in robots], [0.5, 0.25, 0.75])
+    assert Crawling("a", "load on the body", 3, *map(pytest.approx, loads)) in found.crawling
     saved = Robot.load(tmp_path / "winners" / "a" / "seed-1.json")
-    assert saved.to_dict() == RandomRobots.robots[3].to_dict()
+    assert saved.to_dict() == robots[1].to_dict()
+    (winner,) = found.winners
+    assert (winner.seed, winner.reference_m) == (2, robots[2].simulate(0.005).distance_m[0])
 
 
-def test_robots_that_fail_count_apart_from_the_errors(compare, tmp_path, monkeypatch):
+def test_robots_that_fail_count_apart_from_the_others(compare, tmp_path, monkeypatch):
     for seed in (0, 1):
         Cell("a", seed).folder(tmp_path).mkdir(parents=True)
 
@@ -145,15 +160,48 @@ def test_robots_that_fail_count_apart_from_the_errors(compare, tmp_path, monkeyp
         return Outcomes(failure, np.array([0.01, 0.27]), np.zeros(2), np.zeros(2))
 
     monkeypatch.setattr(winners, "simulate", simulate)
-    (found,) = compare({0: 0.2, 1: 0.3})
-    assert found == Comparison("a", "5 ms", 2, 1, pytest.approx(0.1), pytest.approx(0.1))
+    share = pytest.approx(0.9)
+    assert compare({0: 0.2, 1: 0.3}).comparisons == [Comparison("a", "5 ms", 2, 1, share, share, share)]
 
 
 def test_robots_are_simulated_once(compare, tmp_path, monkeypatch):
     folder = Cell("a", 1).folder(tmp_path)
     folder.mkdir(parents=True)
     first = compare({1: 0.3})
+    assert len(first.comparisons) == 1
     monkeypatch.delattr(winners, "simulate")
     folder.rmdir()  # results are kept without the run
     assert compare({1: 0.3}) == first
-    assert compare({0: 0.0}) == []
+    assert compare({0: 0.0}) == ([], [], [])
+
+
+def test_further_conditions_need_the_saved_robots_only(compare, tmp_path, monkeypatch):
+    robots = [replace(robot, fitness_m=n / 10) for n, robot in enumerate(RandomRobots.robots)]
+    monkeypatch.setattr(RandomRobots, "robots", robots)
+    folder = Cell("a", 1).folder(tmp_path)
+    folder.mkdir(parents=True)
+    compare({1: 0.3})
+    folder.rmdir()
+    other = {"friction": 0.4}
+    monkeypatch.setitem(winners.CONDITIONS, "friction 0.4", other)
+    found = compare({1: 0.3})
+    assert [row.condition for row in found.comparisons] == ["5 ms", "friction 0.4"]
+    end = simulate([robots[3].morphology], robots[3].gaits, replace(robots[3].physics, **other))
+    if end.failure[0] == Failure.NONE:
+        assert found.comparisons[1].median_share == pytest.approx(end.distance_m[0] / 0.3)
+    else:
+        assert found.comparisons[1].failed == 1
+
+
+def test_robot_is_made_again_from_the_table_of_evaluations(tmp_path, invented):
+    data = tomllib.loads(Path(__file__).with_name("small.toml").read_text("utf-8"))
+    config = StudyConfig.from_dict({**data, "seeds": [3], "arms": {"ga-uniform": {"prior": "uniform"}}})
+    begin(config, tmp_path)
+    cell, arm = config.cells()[0], config.arms["ga-uniform"]
+    evolve(arm.run_config(3, config.budget_s), cell.folder(tmp_path), evaluator=invented)
+    expected = load_run(cell.folder(tmp_path)).best_robot
+    analysis = analyse(config, collect(config, tmp_path))
+    shutil.rmtree(tmp_path / "cells")
+    judge_winners(analysis, tmp_path)
+    assert Robot.load(tmp_path / "winners" / "ga-uniform.json").to_dict() == expected.to_dict()
+    assert not (tmp_path / "cells").exists()
