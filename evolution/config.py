@@ -18,7 +18,7 @@ from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
 from evolution.optimizers.random_search import RandomSearch, Sampling
 from evolution.optimizers.shade import DRAWS, Shade, ShadeConfig
-from evolution.priors import Control, Prior, make_priors
+from evolution.priors import Control, Prior, Without, design_parameters, make_priors
 from evolution.priors.distributions import Clipping, Distribution, Uniform
 from evolution.priors.gait import advance
 from evolution.priors.preprocessor import Contradictions, GenePrior, check_floor_ratio
@@ -54,6 +54,7 @@ class RunConfig:
     prior: Prior = "body"  #: genes with a distribution from the preprocessor; body: as in the paper
     prior_use: PriorUse = "both"  #: uses of the prior in the GA: first generation (init), mutation
     prior_control: Control = "none"  #: misleading prior. mirrored: peaks reflected; shuffled: permuted
+    prior_without: Without = "none"  #: K_i to leave out of the prior
     #: Prior of a gene on which two design parameters disagree. product: the peak of their product.
     contradictions: Contradictions = "uniform"
     floor_ratio: float = 3.0  #: ratio of the maximum to the minimum density of a preprocessed gene
@@ -88,7 +89,8 @@ class RunConfig:
                 f"race_periods = {self.race_periods} of {self.gait_period_s:g} s must end before an "
                 f"episode does, after {EPISODE_S:g} s"
             )
-        _ = self.encoding  # checks the genome and the gait period
+        # These check the genome, the gait period and the K_i.
+        _ = design_parameters(self.encoding, self.prior, self.prior_without)
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> RunConfig:
@@ -116,7 +118,8 @@ class RunConfig:
         """Return the result of the preprocessor for each gene."""
         return make_priors(
             self.encoding, self.prior, floor_ratio=self.floor_ratio, clipping=self.clipping,
-            contradictions=self.contradictions, control=self.prior_control, seed=self.seed,
+            contradictions=self.contradictions, control=self.prior_control,
+            without=self.prior_without, seed=self.seed,
         )  # fmt: skip
 
     def distributions(self, use: Literal["init", "mutation"] = "init") -> list[Distribution]:

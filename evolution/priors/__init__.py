@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from caterpillar_env.errors import CaterpillarError
 from evolution.genome import Encoding
 from evolution.priors.body import body_parameters
 from evolution.priors.distributions import (
@@ -28,15 +29,30 @@ from evolution.priors.preprocessor import (
 
 Prior = Literal["uniform", "body", "gait", "body+gait"]
 Control = Literal["none", "mirrored", "shuffled"]
+#: A K_i to leave out of a prior, by its name.
+Without = Literal["none", "roll stability", "yaw stability", "lifting moment", "stroke", "advance"]
 
 _SHUFFLE = 0x5F  # separates the random numbers of the shuffle from those of the optimizer
 
 
-def design_parameters(encoding: Encoding, prior: Prior) -> tuple[DesignParameter, ...]:
-    """Return the K_i of a prior."""
+def design_parameters(
+    encoding: Encoding, prior: Prior, without: Without = "none"
+) -> tuple[DesignParameter, ...]:
+    """Return the K_i of a prior, without one of them if its name is given.
+
+    Raises:
+        CaterpillarError: the prior has no K_i of this name.
+    """
     body = body_parameters(encoding.physics) if "body" in prior else ()
     gait = gait_parameters(encoding.physics, encoding.gait_period_s) if "gait" in prior else ()
-    return (*body, *gait)
+    found = (*body, *gait)
+    kept = tuple(k for k in found if k.name != without)
+    if without != "none" and len(kept) == len(found):
+        names = ", ".join(k.name for k in found) or "none"
+        raise CaterpillarError(
+            f"prior_without = {without!r} must be a K_i of prior = {prior!r}, which has {names}"
+        )
+    return kept
 
 
 def _make_wave(encoding: Encoding) -> Encoding:
@@ -57,6 +73,7 @@ def make_priors(
     clipping: Clipping = "truncated",
     contradictions: Contradictions = "uniform",
     control: Control = "none",
+    without: Without = "none",
     seed: int = 0,
 ) -> list[GenePrior]:
     """Return the distribution of each gene. With the prior "body", this is the paper's Table I.
@@ -72,12 +89,13 @@ def make_priors(
         clipping: interpretation of the paper's "clipped Gaussian".
         contradictions: what to do with genes on which two K_i disagree.
         control: "mirrored" or "shuffled" gives a misleading prior of the same strength.
+        without: name of a K_i to leave out.
         seed: seed of the shuffle.
 
     Raises:
-        CaterpillarError: see `preprocess`.
+        CaterpillarError: see `preprocess` and `design_parameters`.
     """
-    parameters = design_parameters(encoding, prior)
+    parameters = design_parameters(encoding, prior, without)
     found = preprocess(parameters, _make_wave(encoding).genes, floor_ratio, contradictions)
     known = {row.gene.parameter: row for row in found}
     if "gait" in prior and encoding.timing == "on-off":

@@ -139,11 +139,11 @@ def summarize(analysis: Analysis) -> list[str]:
             "these results cover the others."
         )
     for threshold, rows in analysis.times.items():
-        lines += [_summarize_times(threshold, row) for row in rows]
+        lines += [_summarize_times(threshold, row, config.reference_of(row.arm)) for row in rows]
     medians = {row.arm: row.median_m.value for row in analysis.finals}
     lines += [
         f"{row.arm}: median final distance {_mm(row.median_m.value)}, against "
-        f"{_mm(medians[config.reference_of(row.arm)])} for the reference; A12 "
+        f"{_mm(medians[config.reference_of(row.arm)])} for {config.reference_of(row.arm)}; A12 "
         f"{format_estimate(row.a12)}, Mann-Whitney p {format_p(row.mann_whitney_p)}."
         for row in analysis.finals
         if row.a12 is not None
@@ -153,13 +153,13 @@ def summarize(analysis: Analysis) -> list[str]:
             if gain.ratio is not None and np.isfinite(gain.ratio.value):
                 value, low, high = (100 * (ratio - 1) for ratio in gain.ratio)
                 lines.append(
-                    f"{gain.arm}: {value:+.0f} % distance after {count} generations against the "
-                    f"reference ({low:+.0f} to {high:+.0f} %; {gain.runs} runs)."
+                    f"{gain.arm}: {value:+.0f} % distance after {count} generations against "
+                    f"{config.reference_of(gain.arm)} ({low:+.0f} to {high:+.0f} %; {gain.runs} runs)."
                 )
     return lines
 
 
-def _summarize_times(threshold: Threshold, row: Times) -> str:
+def _summarize_times(threshold: Threshold, row: Times, reference: str) -> str:
     if np.isnan(row.threshold_m):
         return f"{row.arm}: {threshold} is not known yet, or 0."
     level = _mm(row.threshold_m)
@@ -169,7 +169,10 @@ def _summarize_times(threshold: Threshold, row: Times) -> str:
     if row.median_generations is not None and np.isfinite(row.median_generations.value):
         line += f", the median run after {format_estimate(row.median_generations, '{:.0f}')} generations"
     if row.speed_up is not None:
-        line += f"; speed-up {format_estimate(row.speed_up)}, log-rank p {format_p(row.log_rank_p)}"
+        line += (
+            f"; speed-up over {reference} {format_estimate(row.speed_up)}, log-rank p "
+            f"{format_p(row.log_rank_p)}"
+        )
     return line + "."
 
 

@@ -51,6 +51,10 @@ class Threshold(NamedTuple):
 
         return find
 
+    def of(self, reference: Sequence[Run]) -> float:
+        """Return the threshold for all runs of the reference, m, or NaN."""
+        return self.find(reference)(np.arange(len(reference)))
+
 
 class Times(NamedTuple):
     """Simulated times at which the runs of an arm reach a threshold."""
@@ -97,28 +101,29 @@ def find_times(config: StudyConfig, runs: Runs, threshold: Threshold) -> list[Ti
     Where the threshold depends on the reference's runs, bootstrap intervals of running times and
     speed-ups include its uncertainty: each resample has its own threshold.
     """
+
+    def test(group: list[Run], reference: list[Run]) -> float:
+        level_m = threshold.of(reference)
+        return statistics.log_rank(*arrivals(group, level_m), *arrivals(reference, level_m))
+
     comparable = config.comparable()
-    values_m = {}
-    for arm in runs:
-        reference = runs.get(config.reference_of(arm), [])
-        values_m[arm] = threshold.find(reference)(np.arange(len(reference)))
-    groups = {arm: arrivals(found, values_m[arm]) for arm, found in runs.items()}
-    log_rank = statistics.holm(compare(config, groups, lambda a, b: statistics.log_rank(*a, *b)))
+    log_rank = statistics.holm(compare(config, runs, test))
     speed_up = compare(config, runs, partial(_speed_up, threshold))
     rows = []
-    for arm, (time, reached) in groups.items():
-        counts = count_generations(runs[arm], values_m[arm]) if arm in comparable else None
+    for arm, found in runs.items():
+        reference = runs.get(config.reference_of(arm), [])
+        level_m = threshold.of(reference)
+        time, reached = arrivals(found, level_m)
+        counts = count_generations(found, level_m) if arm in comparable else None
         rows.append(
             Times(
                 arm=arm,
-                threshold_m=values_m[arm],
+                threshold_m=level_m,
                 runs=len(time),
                 reached=int(reached.sum()),
                 median_s=statistics.kaplan_meier(time, reached).median,
                 median_generations=counts and statistics.kaplan_meier(*counts).median,
-                running_time_s=_running_time(
-                    threshold, runs[arm], runs.get(config.reference_of(arm), [])
-                ),
+                running_time_s=_running_time(threshold, found, reference),
                 speed_up=speed_up.get(arm),
                 log_rank_p=log_rank.get(arm),
             )
@@ -166,8 +171,7 @@ def _speed_up(threshold: Threshold, runs: list[Run], reference: list[Run]) -> Es
         (time, reached), (base_time, base_reached) = find(level_m), find_base(level_m)
         return statistics.speed_up(time[rows], reached[rows], base_time[base], base_reached[base])
 
-    both = _indices(runs), _indices(reference)
-    level_m = level(both[1][0])
+    both, level_m = (_indices(runs), _indices(reference)), threshold.of(reference)
     if not (find(level_m)[1].any() and find_base(level_m)[1].any()):  # no interval can be estimated
         return Estimate(speed_up(both[0][0], both[1][0]), float("nan"), float("nan"))
     return statistics.bootstrap(speed_up, *both)

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import simulate
+from evolution.config import RunConfig
 from evolution.genome import Encoding
 from evolution.priors import make_priors, searches
 from evolution.priors.distributions import ClippedGaussian, Uniform, WrappedGaussian
@@ -155,3 +157,18 @@ def test_controls_mislead_with_the_same_strength():
     assert shuffled != wave
     assert shuffled != distributions(WAVE, control="shuffled", seed=2)
     assert shuffled == distributions(WAVE, control="shuffled", seed=1)
+
+
+def test_a_design_parameter_can_be_left_out():
+    full, without = distributions(WAVE), distributions(WAVE, without="lifting moment")
+    changed = {name for name in full if full[name] != without[name]}
+    assert changed == {"segment_length_m", "segment_mass_kg", "attachment_x_m", "attachment_y_m"}
+    assert isinstance(without["segment_length_m"], Uniform)
+    times = distributions(Encoding(), without="advance")
+    assert isinstance(times["gap1_dorsal_on_s"], Uniform)  # no K_i prefers a wave
+    # The comment in the preset `ablation` says so.
+    assert distributions(WAVE, without="stroke") == full
+    with pytest.raises(
+        CaterpillarError, match="prior_without = 'stroke' must be a K_i of prior = 'body'"
+    ):
+        RunConfig(prior_without="stroke")
