@@ -1,6 +1,6 @@
 """Compare optimizers of several packages on the search for a crawling robot.
 
-    pip install cmaes minionpy
+    pip install cmaes minionpy smac
     python -m benchmarks.optimizers --out runs/optimizers               # all optimizers, ten seeds
     python -m benchmarks.optimizers l-shade lra-cma-es --seeds 0,1      # some of them
 
@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import queue
 import sys
+import tempfile
 import threading
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -30,6 +31,7 @@ from benchmarks.harness import report
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.machine import cores
+from caterpillar_env.task import EPISODE_S
 from evolution import GaConfig, LocalEvaluator, RunConfig, ShadeConfig, evolve, load, resume
 from evolution.optimizers.base import Optimizer
 from evolution.optimizers.ga import GeneticAlgorithm
@@ -44,6 +46,7 @@ BASE = RunConfig(
 )  # fmt: skip
 _POPULATION = 30
 _EVALUATIONS = 600  #: slightly more than fit into the budget, for optimizers that plan ahead
+_PRIOR_DRAWS = 1000  #: genomes from which WS-CMA-ES learns the prior
 _CREEP = 0.05  #: standard deviation of a creep mutation, as a share of the range
 _CREEP_RATE = 0.2  #: probability that a gene creeps
 
@@ -123,6 +126,100 @@ class Creep(GeneticAlgorithm):
         return np.where(self._rng.random(children.shape) < _CREEP_RATE, crept, children)
 
 
+class Centred:
+    """Base class of optimizers that see genes with the peak of each circular one at 0.5."""
+
+    def __init__(self, config: RunConfig) -> None:
+        rows = zip(config.distributions(), config.encoding.genes, strict=True)
+        peaks = [d.mu if gene.circular and isinstance(d, Gaussian) else 0.5 for d, gene in rows]
+        self._shift = np.array(peaks) - 0.5
+
+    def _from_genes(self, genomes: Array) -> Array:
+        return np.where(self._shift == 0.0, genomes, (genomes - self._shift) % 1.0)
+
+    def _to_genes(self, points: Array) -> Array:
+        shifted = (points + self._shift) % 1.0
+        return np.where(self._shift == 0.0, np.clip(points, 0.0, 1.0), shifted)
+
+
+class WarmStart(Centred):
+    """WS-CMA-ES of cmaes (Nomura et al. 2021): begins with what the prior says about good genomes."""
+
+    def __init__(self, config: RunConfig) -> None:
+        import cmaes
+
+        super().__init__(config)
+        shapes = config.distributions()
+        genomes = draw(shapes, np.random.default_rng(config.seed), _PRIOR_DRAWS)
+        density = np.prod([d.density(x) for d, x in zip(shapes, genomes.T, strict=True)], axis=0)
+        known = list(zip(self._from_genes(genomes), (-density).tolist(), strict=True))
+        mean, sigma, covariance = cmaes.get_warm_start_mgd(known)
+        self._strategy = cmaes.CMA(
+            mean, sigma, np.tile([0.0, 1.0], (len(mean), 1)), cov=covariance, seed=config.seed
+        )
+        self._asked: list[Array] = []
+
+    def ask(self) -> Array:
+        """Return the genomes of a generation, (P, n)."""
+        self._asked = [self._strategy.ask() for _ in range(self._strategy.population_size)]
+        return self._to_genes(np.array(self._asked))
+
+    def tell(self, genomes: Array, fitness: Array) -> None:
+        """Receive their fitness, (P,)."""
+        self._strategy.tell([(p, -f) for p, f in zip(self._asked, fitness.tolist(), strict=True)])
+
+
+class PiBO(Centred):
+    """piBO of SMAC (Hvarfner et al. 2022): Bayesian optimization that weights genomes by their prior.
+
+    It simulates one robot at a time, to the end. The weight of the prior decays with their number.
+    """
+
+    def __init__(self, config: RunConfig) -> None:
+        import ConfigSpace
+        import smac
+        from smac.acquisition.function import EI, PriorAcquisitionFunction
+
+        super().__init__(config)
+        space = ConfigSpace.ConfigurationSpace(seed=config.seed)
+        self._names = [f"gene{number:03d}" for number in range(len(self._shift))]
+        rows = zip(self._names, config.distributions(), self._shift, strict=True)
+        for name, shape, shift in rows:
+            if isinstance(shape, Gaussian):
+                space.add(
+                    ConfigSpace.NormalFloatHyperparameter(
+                        name, mu=shape.mu - shift, sigma=shape.sigma, lower=0.0, upper=1.0
+                    )
+                )
+            else:
+                space.add(ConfigSpace.UniformFloatHyperparameter(name, 0.0, 1.0))
+        trials = round(BUDGET_S / EPISODE_S)
+        self._folder = tempfile.TemporaryDirectory()
+        scenario = smac.Scenario(
+            space, output_directory=Path(self._folder.name), seed=config.seed, deterministic=True,
+            n_trials=_EVALUATIONS,
+        )  # fmt: skip
+        facade = smac.HyperparameterOptimizationFacade
+        self._smac = facade(
+            scenario, lambda config, seed: 0.0, logging_level=False,
+            acquisition_function=PriorAcquisitionFunction(EI(log=True), decay_beta=trials / 10),
+            initial_design=smac.initial_design.RandomInitialDesign(scenario, n_configs=_POPULATION),
+        )  # fmt: skip
+        self._trial: Any = None
+
+    def ask(self) -> Array:
+        """Return the next genome, (1, n)."""
+        self._trial = self._smac.ask()
+        point = np.array([[self._trial.config[name] for name in self._names]])
+        return self._to_genes(point)
+
+    def tell(self, genomes: Array, fitness: Array) -> None:
+        """Receive its fitness, (1,)."""
+        from smac.runhistory.dataclasses import TrialValue
+
+        self._smac.tell(self._trial, TrialValue(cost=-float(fitness[0])), save=False)
+
+
 def lq_surrogate(config: RunConfig) -> Asked:
     """Return lq-CMA-ES of pycma, with a linear-quadratic surrogate and restarts."""
     import cma
@@ -174,6 +271,8 @@ OTHERS: dict[str, Callable[[RunConfig], Optimizer]] = {
     "lra-cma-es": LearningRate,
     "lq-cma-es": lq_surrogate,
     "l-shade": l_shade,
+    "ws-cma-es": WarmStart,
+    "pibo": PiBO,
 }
 NAMES = (*OURS, *OTHERS)
 

@@ -70,7 +70,7 @@ def _censored(time: Array, reached: Flags) -> Any:
 
 
 def _first_below(times: Array, share: Array) -> float:
-    below = np.flatnonzero(share <= 0.5)
+    below = np.flatnonzero(share <= 0.5 + 1e-9)  # products of shares are rounded
     return float(times[below[0]]) if below.size else float("inf")
 
 

@@ -151,3 +151,70 @@ def test_target_ecdf_counts_pairs():
     times = np.array([[1.0, 5.0], [2.0, np.inf]])
     grid = np.array([0.5, 1.0, 2.0, 9.0])
     assert statistics.target_ecdf(times, grid) == pytest.approx([0, 0.25, 0.5, 0.75])
+
+
+# Other packages. They are large, so that `test` does not install them: pip install lifelines rliable
+
+
+def draw_censored(seed, scale, runs=21):
+    """Times of runs of which some are censored, at two budgets. The share is never exactly one half."""
+    rng = np.random.default_rng(seed)
+    time = np.ceil(rng.exponential(scale, runs))  # with ties
+    budget = np.where(np.arange(runs) % 3 == 0, 120.0, 60.0)
+    return np.minimum(time, budget), time <= budget
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("scale", [15.0, 40.0, 90.0])
+def test_survival_agrees_with_lifelines(scale):
+    lifelines = pytest.importorskip("lifelines")
+    from lifelines.statistics import logrank_test
+    from lifelines.utils import median_survival_times
+
+    for seed in range(10):
+        time, reached = draw_censored(seed, scale)
+        ours = statistics.kaplan_meier(time, reached)
+        theirs = lifelines.KaplanMeierFitter().fit(time, reached)
+        inside = (ours.share > 0) & (ours.share < 1)
+        at = ours.time[inside]
+        assert ours.share[inside] == pytest.approx(theirs.predict(at).to_numpy())
+        band = theirs.confidence_interval_.loc[at].to_numpy().T
+        assert ours.low[inside] == pytest.approx(band[0])
+        assert ours.high[inside] == pytest.approx(band[1])
+        assert ours.median.value == theirs.median_survival_time_
+        low, high = median_survival_times(theirs.confidence_interval_).to_numpy()[0]
+        assert ours.median.low == low
+        if (
+            ours.share[-1] > 0
+        ):  # at a share of 0, the upper bound of lifelines is 0, and ours the last one
+            assert ours.median.high == high
+        other = draw_censored(100 + seed, 40.0)
+        expected = logrank_test(time, other[0], reached, other[1]).p_value
+        assert statistics.log_rank(time, reached, *other) == pytest.approx(expected)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_intervals_agree_with_rliable(monkeypatch):
+    monkeypatch.setattr(statistics, "RESAMPLES", 4_999)
+    library = pytest.importorskip("rliable.library")
+    from rliable import metrics
+
+    rng = np.random.default_rng(5)
+    a, b = rng.lognormal(0.0, 0.4, 30), rng.lognormal(0.3, 0.4, 30)
+    value = metrics.probability_of_improvement(a[:, None], b[:, None])
+    assert statistics.a12(a, b).value == pytest.approx(value)
+    points, intervals = library.get_interval_estimates(
+        {"a": a[:, None]}, lambda scores: np.array([np.median(scores)]), reps=5000
+    )
+    ours = statistics.bootstrap(lambda x: float(np.median(x)), (a,))
+    assert ours.value == points["a"][0]
+    assert [ours.low, ours.high] == pytest.approx(intervals["a"][:, 0], rel=0.02)
+    _, pairs = library.get_interval_estimates(
+        {"a, b": (a[:, None], b[:, None])},
+        lambda *scores: np.array([metrics.probability_of_improvement(*scores)]),
+        reps=2000,
+    )
+    newcombe = statistics.a12(a, b)
+    assert [newcombe.low, newcombe.high] == pytest.approx(pairs["a, b"][:, 0], abs=0.05)
