@@ -25,7 +25,7 @@ _KILO = 1000.0  # the time axes are in 1000 s
 _TIME = "simulated time (1000 s)"
 
 _FEWEST_RUNS = 3  # for a median with quartiles
-_LARGEST_SPEED_UP = 1000.0
+_LARGEST_SPEED_UP = 100.0
 
 _CAPTIONS = {
     "generations": "Best distance over generations, as in Fig. 11 of the paper. Lines: medians; bands: "
@@ -123,6 +123,7 @@ def draw_survival(analysis: Analysis) -> Figure | None:
             title += f"\n({1000 * next(iter(levels_m.values())):.0f} mm)"
         axis.set_title(title, fontsize="medium")
         axis.set(xlabel=_TIME, ylim=(-0.02, 1.02))
+        axis.grid(alpha=0.3)
     axes[0].set_ylabel("share of runs below the threshold")
     _add_legend(axes[-1])
     return figure

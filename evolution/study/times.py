@@ -15,7 +15,7 @@ from evolution.study.config import StudyConfig
 from evolution.study.results import Run
 from evolution.study.statistics import Estimate
 
-STEPS = 15  #: number of thresholds over which the speed-up is shown
+STEPS = 10  #: number of thresholds over which the speed-up is shown
 
 Arrivals = tuple[Array, NDArray[np.bool_]]
 Rows = NDArray[np.int64]

@@ -9,7 +9,9 @@ import pytest
 from benchmarks import optimizers
 from caterpillar_env import Physics
 from caterpillar_env.errors import CaterpillarError
+from evolution.priors.distributions import Gaussian, Uniform, draw
 
+PACKAGES = {"ws-cma-es": "cmaes", "pibo": "smac"}
 SMALL = replace(
     optimizers.BASE, physics=Physics(num_segments=2, timestep_s=0.01), budget_s=60.0, prior="body"
 )  # fmt: skip
@@ -45,8 +47,51 @@ def test_creep_moves_some_genes_by_small_steps():
     assert nearest.max() < 0.3
 
 
-@pytest.mark.parametrize("name", ["shade", "ga-creep", "lq-cma-es"])
+def test_circular_genes_are_centred_at_their_peak():
+    config = optimizers.BASE
+    centred, shapes = optimizers.Centred(config), config.distributions()
+    genomes = draw(shapes, np.random.default_rng(0), 50)
+    points = centred._from_genes(genomes)
+    np.testing.assert_allclose(centred._to_genes(points), genomes)
+    peaks = np.array([d.mu if isinstance(d, Gaussian) else 0.5 for d in shapes])
+    circular = np.array([gene.circular for gene in config.encoding.genes])
+    expected = np.where(circular, 0.5, peaks)
+    np.testing.assert_allclose(centred._from_genes(peaks[None])[0], expected)
+
+
+def test_warm_start_begins_near_the_peaks_of_the_prior():
+    pytest.importorskip("cmaes")
+    config = optimizers.BASE
+    warm, cold = optimizers.WarmStart(config), draw([Uniform()] * 12, np.random.default_rng(0), 400)
+    asked = np.concatenate([warm.ask() for _ in range(40)])
+    shapes = config.distributions()
+
+    def density(genomes):
+        return np.mean([np.log(d.density(x)).mean() for d, x in zip(shapes, genomes.T, strict=True)])
+
+    prior = density(draw(shapes, np.random.default_rng(1), 400))
+    assert density(asked) > prior > density(cold)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_pibo_prefers_the_prior_at_first_and_learns():
+    pytest.importorskip("smac")
+    pibo, shapes = optimizers.PiBO(optimizers.BASE), optimizers.BASE.distributions()
+    asked = []
+    for _ in range(36):  # six more than the first design
+        genomes = pibo.ask()
+        asked.append(genomes[0])
+        pibo.tell(genomes, -((genomes - 0.3) ** 2).sum(axis=1))
+    logs = np.array([[np.log(d.density(x)) for d, x in zip(shapes, g, strict=True)] for g in asked])
+    assert logs[30:].sum(axis=1).mean() > logs[:30].sum(axis=1).mean()
+
+
+@pytest.mark.parametrize("name", ["shade", "ga-creep", "lq-cma-es", "ws-cma-es", "pibo"])
+@pytest.mark.filterwarnings("ignore")
 def test_a_run_ends_with_its_budget_and_has_a_row(monkeypatch, tmp_path, name):
+    if name in PACKAGES:
+        pytest.importorskip(PACKAGES[name])
     monkeypatch.setattr(optimizers, "BASE", SMALL)
     monkeypatch.setitem(optimizers.OURS, "shade", replace(SMALL, optimizer="shade"))
     row = optimizers.run(name, 3, tmp_path)

@@ -216,7 +216,7 @@ def test_arm_is_compared_with_its_own_reference(few_draws):
 def test_speed_up_is_known_for_all_distances_that_the_reference_reached(analysis):
     levels_m, estimates = zip(*analysis.speed_ups["ga-preprocessed"], strict=True)
     assert levels_m[-1] == pytest.approx(0.093)
-    assert np.diff(levels_m) == pytest.approx(0.093 / 15)
+    assert np.diff(levels_m) == pytest.approx(0.093 / 10)
     assert estimates[-1].value == pytest.approx(400 / (230 / 4))  # 400 s for one run of four
     assert [estimate.value for _, estimate in analysis.speed_ups["random-preprocessed"]][-1] == 0.0
 

@@ -48,7 +48,8 @@ def test_settings_of_an_arm_are_merged_into_the_base():
 
 
 @pytest.mark.parametrize(
-    ("name", "arms"), [("paper", 2), ("ablation", 28), ("search", 2), ("worlds", 7), ("pilot", 6)]
+    ("name", "arms"),
+    [("paper", 2), ("ablation", 28), ("conjecture", 27), ("search", 2), ("worlds", 7), ("pilot", 6)],
 )
 def test_presets_are_complete_and_raise_no_warnings(name, arms):
     config = preset(name)
@@ -85,6 +86,16 @@ def test_arms_can_have_their_own_references():
     arms = {name: {} for name in ("ga-uniform", "a", "b", "c")}
     config = StudyConfig.from_dict(changed(arms=arms, references={"c": "b"}))
     assert [config.reference_of(arm) for arm in arms] == ["ga-uniform", "ga-uniform", "b", "b"]
+
+
+def test_conjecture_compares_each_robot_with_itself():
+    config, sizes = preset("conjecture"), set()
+    for name, arm in config.arms.items():
+        base = config.arms[config.reference_of(name)]
+        assert replace(arm.config, prior="uniform") == base.config
+        sizes.add(len(arm.config.encoding.genes))
+    assert (min(sizes), max(sizes), len(sizes)) == (20, 188, 9)
+    assert set(config.arms) - set(config.references) == set(config.references.values())
 
 
 def test_arms_of_the_ablation_differ_in_one_part_from_their_reference():
