@@ -163,7 +163,7 @@ def draw_genes(analysis: Analysis) -> Figure | None:
         genes, value, low, high = np.array(sorted(points)).T
         genes = genes * 1.01**number  # so that intervals do not hide each other
         axis.vlines(genes, _bound(low), _bound(high), color=palette(number), alpha=0.6)
-        _plot_ratios(axis, genes, value, palette(number), label=f"prior {prior}", line="")
+        _plot_ratios(axis, genes, value, palette(number), label=f"prior {prior}", line="none")
     axis.set_xscale("log")
     axis.xaxis.set_major_formatter("{x:.0f}")
     axis.xaxis.set_minor_formatter("{x:.0f}")
@@ -180,7 +180,9 @@ def _bound(ratios: Array) -> Array:
 def _plot_ratios(axis: Axes, x: Array, ratios: Array, colour: Any, *, label: str, line: str) -> None:
     """Plot ratios, with triangles for those that are 0 or infinite."""
     inside = np.isfinite(ratios) & (ratios > 0)
-    axis.plot(x[inside], ratios[inside], line, marker="o", markersize=4, color=colour, label=label)
+    axis.plot(
+        x[inside], ratios[inside], linestyle=line, marker="o", markersize=4, color=colour, label=label
+    )
     for beyond, marker in ((np.isposinf(ratios), "^"), (ratios == 0, "v")):
         axis.plot(x[beyond], _bound(ratios[beyond]), marker, color=colour, markersize=6)
 
