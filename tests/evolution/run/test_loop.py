@@ -365,6 +365,12 @@ def test_optimizer_is_the_one_that_was_named():
     assert isinstance(RunConfig(optimizer="shade").make_optimizer(), Shade)
 
 
+def test_configurations_of_earlier_versions_mean_flat_ground():
+    data = RunConfig(seed=3).to_dict()
+    assert data["physics"].pop("world") == {"kind": "flat"}
+    assert RunConfig.from_dict(data) == RunConfig(seed=3)
+
+
 def test_candidates_of_shade_are_chosen_by_their_advance():
     config = RunConfig(optimizer="shade", timing="wave", prior="gait", shade=ShadeConfig(8, 6))
     plain = replace(config, shade=ShadeConfig(8))
