@@ -1,6 +1,10 @@
-"""Array types of the project."""
+"""Array types of the project, and compiled functions of arrays."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache, wraps
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +14,7 @@ Array = NDArray[np.float64]
 #: Indices of robots in a simulation, (R,).
 Rows = NDArray[np.intp]
 
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # axes after and before x, y and z
+_F = TypeVar("_F", bound=Callable[..., Any])
 
 
 def select(rows: Rows, size: int) -> Rows | slice:
@@ -27,8 +31,26 @@ def select(rows: Rows, size: int) -> Rows | slice:
     return slice(None)
 
 
-def cross(a: Array, b: Array) -> Array:
-    """Return the cross product of (..., 3) arrays, several times faster than `np.cross`."""
-    next_a, next_b = a.take(_NEXT, axis=-1), b.take(_NEXT, axis=-1)
-    last_a, last_b = a.take(_LAST, axis=-1), b.take(_LAST, axis=-1)
-    return next_a * last_b - last_a * next_b
+def compiled(function: _F) -> _F:
+    """Return a function that Numba compiles at its first call, or reads from its cache.
+
+    The function has loops over numbers, and calls no trigonometric functions, whose last bits depend on
+    the library. Numba compiles again if the module changes, but not if another module does: do not use
+    constants of other modules. Numba is imported at the first call, because that takes time.
+    """
+
+    @cache
+    def compile_once() -> Callable[..., Any]:
+        from numba import njit
+
+        try:
+            compiled: Callable[..., Any] = njit(cache=True)(function)
+        except RuntimeError:  # no folder for the cache is writable
+            compiled = njit(function)
+        return compiled
+
+    @wraps(function)
+    def call(*arguments: Any) -> Any:
+        return compile_once()(*arguments)
+
+    return cast(_F, call)

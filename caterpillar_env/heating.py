@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from caterpillar_env.arrays import Array, Rows
+from caterpillar_env.arrays import Array, Rows, compiled
 from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.sma import SmaSpring, SmaState, SmaStep, advance
 
@@ -21,7 +21,7 @@ class Heating(NamedTuple):
 
 
 def heat(
-    spring: SmaSpring, before: SmaState, power: Array, ambient_c: Array, rows: Rows, middles: Array
+    spring: SmaSpring, before: SmaState, power: Array, ambient_c: Array, rows: Rows, substeps: int
 ) -> Heating:
     """Compute the springs of robots for the next K thermal steps.
 
@@ -31,13 +31,30 @@ def heat(
         power: share of the drive power in each thermal step, in [0, 1], (R, K, num_springs).
         ambient_c: air temperature of each robot, degC, (R, 1).
         rows: indices of the robots, (R,).
-        middles: midpoints of the n physics steps, as shares of a thermal step, (n, 1).
+        substeps: number n of physics steps in a thermal step.
     """
     steps = advance(spring, before, np.swapaxes(power, 0, 1), SMA_STEP_S, ambient_c)
-    # Interpolate the fraction between thermal steps, at the midpoints of the physics steps.
-    nodes = np.concatenate([before.fraction[:, None], np.swapaxes(steps.fraction, 0, 1)], axis=1)
-    fine = (nodes[:, 1:] - nodes[:, :-1])[:, :, None] * middles
-    fine += nodes[:, :-1, None]  # (R, K, n, S)
-    control = fine.reshape(len(rows), -1, power.shape[2])
+    control = _interpolate(before.fraction, steps.fraction, substeps)
     energy_j = steps.power.sum(axis=2) * (spring.drive_power_w * SMA_STEP_S)
     return Heating(rows, steps, control, energy_j)
+
+
+@compiled
+def _interpolate(before: Array, after: Array, substeps: int) -> Array:
+    """Return the fraction at the midpoint of each physics step, (R, K n, num_springs).
+
+    Args:
+        before: fraction before the first thermal step, (R, num_springs).
+        after: fraction after each thermal step, (K, R, num_springs).
+        substeps: number n of physics steps in a thermal step.
+    """
+    steps, rows, springs = after.shape
+    control = np.empty((rows, steps * substeps, springs))
+    for r in range(rows):
+        for k in range(steps):
+            for n in range(substeps):
+                share = (n + 0.5) / substeps
+                for i in range(springs):
+                    start = after[k - 1, r, i] if k else before[r, i]
+                    control[r, k * substeps + n, i] = (after[k, r, i] - start) * share + start
+    return control

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from caterpillar_env.arrays import Array
+from caterpillar_env.arrays import Array, Rows, compiled
 
 
 @dataclass(frozen=True)
@@ -61,3 +61,68 @@ class SimulationState(NamedTuple):
     steps: NDArray[np.int64]  #: thermal steps since reset, (R,)
     energy_j: Array  #: electrical energy since reset, (R,)
     load_n: Array  #: on feet and skin, mean of the last interval, (R, 2)
+
+
+@compiled
+def mean_axes(rows: Rows, matrices: Array, first: int, last: int) -> Array:
+    """Return the mean rotation matrix of the bodies `first` to `last - 1`, row-major, (R, 9)."""
+    axes = np.zeros((len(rows), 9))
+    for r, row in enumerate(rows):
+        for body in range(first, last):
+            axes[r] += matrices[row, body]
+    return axes / (last - first)
+
+
+@compiled
+def mean_velocity(
+    rows: Rows, spatial: Array, positions_m: Array, com_m: Array, first: int, last: int
+) -> Array:
+    """Return the mean linear and angular velocity of the bodies `first` to `last - 1`, (R, 6).
+
+    Args:
+        rows: indices of the robots, (R,).
+        spatial: angular velocity, and linear velocity of the body at `com_m`, (B, bodies, 6).
+        positions_m: positions of the bodies, (B, bodies, 3).
+        com_m: centre of mass of each of these robots, (R, 3).
+        first: first body.
+        last: index after the last body.
+    """
+    mean = np.zeros((len(rows), 6))
+    for r, row in enumerate(rows):
+        for body in range(first, last):
+            omega, velocity = spatial[row, body, :3], spatial[row, body, 3:]
+            arm_m = positions_m[row, body] - com_m[r]
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                mean[r, i] += velocity[i] + (omega[j] * arm_m[k] - omega[k] * arm_m[j])
+                mean[r, 3 + i] += omega[i]
+    return mean / (last - first)
+
+
+@compiled
+def find_diverged(
+    rows: Rows, warnings: NDArray[np.int32], qpos: Array, qvel: Array
+) -> NDArray[np.bool_]:
+    """Return whether MuJoCo has warned or the state is not finite, (R,)."""
+    diverged = np.zeros(len(rows), np.bool_)
+    for r, row in enumerate(rows):
+        finite = np.all(np.isfinite(qpos[row])) and np.all(np.isfinite(qvel[row]))
+        diverged[r] = not finite or np.any(warnings[row, :, 1] != 0)
+    return diverged
+
+
+@compiled
+def turn(rows: Rows, direction: Array, vectors: Array) -> Array:
+    """Return the components of vectors along and across a direction, (R, 2).
+
+    Args:
+        rows: indices of the robots, (R,).
+        direction: cosine and sine, (B, 2).
+        vectors: vector of each of these robots, (R, 2 or more).
+    """
+    turned = np.empty((len(rows), 2))
+    for r, row in enumerate(rows):
+        cosine, sine = direction[row]
+        x, y = vectors[r, 0], vectors[r, 1]
+        turned[r, 0], turned[r, 1] = x * cosine + y * sine, y * cosine - x * sine
+    return turned

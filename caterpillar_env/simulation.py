@@ -17,7 +17,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from caterpillar_env.arrays import Array, Rows, cross, select
+from caterpillar_env.arrays import Array, Rows, select
 from caterpillar_env.errors import CaterpillarError, check_number
 from caterpillar_env.gait import count_steps
 from caterpillar_env.ground import LOADS, STANCE_M, clearances_m, half_axes_m, touching_geoms
@@ -26,12 +26,19 @@ from caterpillar_env.machine import MAX_THREADS, cores
 from caterpillar_env.model import ELEMENTS_PER_SEGMENT, ModelBuilder
 from caterpillar_env.morphology import Body
 from caterpillar_env.physics import SMA_STEP_S, Physics
-from caterpillar_env.pose import BodyState, Pose, SimulationState, Trace
+from caterpillar_env.pose import (
+    BodyState,
+    Pose,
+    SimulationState,
+    Trace,
+    find_diverged,
+    mean_axes,
+    mean_velocity,
+)
 from caterpillar_env.randomization import Conditions, apply_conditions
 from caterpillar_env.sma import SmaState
 
 _CACHED_BODIES = 256
-_VELOCITY = np.array([3, 4, 5, 0, 1, 2])  # linear before angular
 _POSITIONS_AND_VELOCITIES = mujoco.mjtStage.mjSTAGE_VEL.value
 FREE_QPOS, FREE_QVEL = 7, 6  # sizes of the head's free joint; the internal joints follow
 
@@ -80,8 +87,8 @@ class Simulation:
         touching = touching_geoms(self.models[0])
         self._touching = slice(touching[0], touching[-1] + 1)  # no other geoms lie in between
         self._half_axes = np.stack([half_axes_m(model) for model in self.models])
-        self._elements = slice(1, 1 + physics.num_segments * ELEMENTS_PER_SEGMENT)
-        self._middles = (np.arange(self._substeps)[:, None] + 0.5) / self._substeps
+        self._elements = 1, 1 + physics.num_segments * ELEMENTS_PER_SEGMENT  # first, after the last
+        self._axes, self._clearance_m = np.zeros((size, 9)), np.zeros(size)  # see `Pose`
         self._ambient_c = np.full((size, 1), physics.spring.ambient_c)
         self._sma = SmaState.cold(physics.spring, (size, springs))
         self._steps = np.zeros(size, dtype=np.int64)  # thermal steps since reset
@@ -226,7 +233,7 @@ class Simulation:
             )
         before = SmaState(self._sma.enthalpy_j_kg[index], self._sma.fraction[index])
         air_c = self._ambient_c[index]
-        return heat(self.physics.spring, before, power, air_c, index, self._middles)
+        return heat(self.physics.spring, before, power, air_c, index, self._substeps)
 
     def advance(
         self,
@@ -269,6 +276,7 @@ class Simulation:
         # `np.sum` would add in a different order for a single row.
         before_j, used_j = self.energy_j[index], np.add.accumulate(energy_j[first:last, chosen])
         self.energy_j[rows] = before_j + used_j[-1]
+        self._locate(index)
         if not trace:
             return None
         path = SmaState(springs.enthalpy_j_kg[first:last, chosen], springs.fraction[first:last, chosen])
@@ -281,51 +289,45 @@ class Simulation:
     def _refresh(self, index: Rows, *, standing: bool = False) -> None:
         """Update derived fields after a change of the state, or of the height to stand on the ground."""
         self.engine.forward(index, stage=_POSITIONS_AND_VELOCITIES)
+        self._locate(index)
         if standing:
-            self._qpos[index, 2] -= self.pose(index).clearance_m + STANCE_M
+            self._qpos[index, 2] -= self._clearance_m[index] + STANCE_M
             self._refresh(index)
+
+    def _locate(self, index: Rows) -> None:
+        """Update the axes and clearances of `Pose` after a change of the positions."""
+        chosen = select(index, len(self.bodies))
+        self._axes[index] = mean_axes(index, self._xmat, *self._elements)  # x, y, z are columns
+        centres_m, turns = (f[chosen, self._touching] for f in (self._geom_xpos, self._geom_xmat))
+        lowest = clearances_m(self.physics.world, centres_m, turns, self._half_axes[chosen])
+        self._clearance_m[chosen] = np.minimum.reduce(lowest, axis=1)
 
     def diverged(self, rows: Rows | None = None) -> NDArray[np.bool_]:
         """Return whether the state is not finite or MuJoCo has warned since reset, (R,)."""
-        chosen = self._select(rows)
-        # `reduce` is several times faster than `all` and `any`.
-        warned = np.logical_or.reduce(self.engine.warning[chosen, :, 1], axis=1)
-        finite = [np.isfinite(field[chosen]) for field in (self._qpos, self._qvel)]
-        placed, moving = (np.logical_and.reduce(values, axis=1) for values in finite)
-        diverged: NDArray[np.bool_] = warned | ~(placed & moving)
-        return diverged
+        return find_diverged(self.rows(rows), self.engine.warning, self._qpos, self._qvel)
 
     def pose(self, rows: Rows | None = None) -> Pose:
         """Return the positions of the rows as new arrays."""
-        chosen = self._select(rows)
-        matrices = self._xmat[chosen, self._elements]
-        axes = np.add.reduce(matrices, axis=1) / matrices.shape[1]  # row-major: x, y, z are columns
-        centres_m, turns = (f[chosen, self._touching] for f in (self._geom_xpos, self._geom_xmat))
-        lowest = clearances_m(self.physics.world, centres_m, turns, self._half_axes[chosen])
+        index = self.rows(rows)
+        axes = self._axes[index]
         return Pose(
-            time_s=self._steps[chosen].astype(np.float64) * SMA_STEP_S,
-            com_m=self._com[chosen, 1].copy(),
+            time_s=self._steps[index].astype(np.float64) * SMA_STEP_S,
+            com_m=self._com[index, 1],
             up=axes[:, 2::3],
             forward=axes[:, 0::3],
-            clearance_m=np.minimum.reduce(lowest, axis=1),
-            load_n=self._load_n[chosen].copy(),
+            clearance_m=self._clearance_m[index],
+            load_n=self._load_n[index],
         )
 
     def state(self, rows: Rows | None = None) -> BodyState:
         """Return the positions and velocities of the rows as new arrays."""
-        pose, chosen = self.pose(rows), self._select(rows)
-        # Angular velocity, then linear velocity at the robot's centre of mass.
-        spatial = self._cvel[chosen, self._elements].copy()
-        angular = spatial[..., :3]
-        arm = self._xpos[chosen, self._elements] - pose.com_m[:, None]
-        spatial[..., 3:] += cross(angular, arm)
-        mean = np.add.reduce(spatial, axis=1) / spatial.shape[1]
-        sma = SmaState(self._sma.enthalpy_j_kg[chosen], self._sma.fraction[chosen].copy())
+        index = self.rows(rows)
+        pose, sma = self.pose(index), SmaState(*(field[index] for field in self._sma))
         return BodyState(
             **vars(pose),
-            velocity=mean.take(_VELOCITY, axis=1),
-            joint_position=self._qpos[chosen, FREE_QPOS:].copy(),
-            joint_velocity=self._qvel[chosen, FREE_QVEL:].copy(),
+            velocity=mean_velocity(index, self._cvel, self._xpos, pose.com_m, *self._elements),
+            joint_position=self._qpos[index, FREE_QPOS:],
+            joint_velocity=self._qvel[index, FREE_QVEL:],
             temperature_c=sma.temperature_c(self.physics.spring),
             fraction=sma.fraction,
         )
@@ -345,6 +347,3 @@ class Simulation:
     def rows(self, rows: Rows | None = None) -> Rows:
         """Return `rows`, or the indices of all robots for None."""
         return np.arange(len(self.bodies)) if rows is None else rows
-
-    def _select(self, rows: Rows | None) -> Rows | slice:
-        return slice(None) if rows is None else select(rows, len(self.bodies))

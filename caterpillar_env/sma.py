@@ -21,9 +21,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from caterpillar_env.arrays import Array
+from caterpillar_env.arrays import Array, compiled
 from caterpillar_env.errors import CaterpillarError, check_fields
 
 #: Number of temperatures at which each branch is tabulated.
@@ -136,18 +135,15 @@ class SmaSpring:
         return self.specific_heat_j_kg_k / self.cooling_w_kg_k
 
     @cached_property
-    def branches(self) -> tuple[Array, NDArray[np.complex128]]:
-        """Enthalpies in J/kg and the fractions of both branches there, for linear interpolation.
-
-        The real part of the fractions is the heating branch, the imaginary part the cooling branch.
-        """
+    def branches(self) -> tuple[Array, Array, Array]:
+        """Enthalpies in J/kg, ascending, and the fractions on heating and on cooling there."""
         heat_c = np.linspace(self.austenite_start_c, self.austenite_finish_c, NODES)
         cool_c = np.linspace(self.martensite_finish_c, self.martensite_start_c, NODES)
         heat_xi, cool_xi = heating_branch(self, heat_c), cooling_branch(self, cool_c)
         c, latent = self.specific_heat_j_kg_k, self.latent_heat_j_kg
         heat_h, cool_h = c * heat_c + latent * heat_xi, c * cool_c + latent * cool_xi
         enthalpy = np.union1d(heat_h, cool_h)
-        return enthalpy, np.interp(enthalpy, heat_h, heat_xi) + 1j * np.interp(enthalpy, cool_h, cool_xi)
+        return enthalpy, np.interp(enthalpy, heat_h, heat_xi), np.interp(enthalpy, cool_h, cool_xi)
 
 
 def heating_branch(spring: SmaSpring, temperature_c: Array) -> Array:
@@ -231,33 +227,67 @@ def advance(
     span_s = -tau * math.expm1(-step_s / tau)  # step length weighted by the exponential decay
     gain = spring.heating_w_kg * span_s
     decay = spring.cooling_w_kg_k * span_s / c  # of H relative to ambient, at constant xi
-    inflow = decay * c * (spring.ambient_c if ambient_c is None else ambient_c)
     cut_off = c * spring.cut_off_c + latent  # enthalpy at the cut-off, where xi = 1
-    hot = np.maximum(state.enthalpy_j_kg, cut_off)
-    # Springs that start above the cut-off get no power.
-    supply = np.multiply(power, gain * (hot <= cut_off), order="C") + inflow
+    shape = power.shape[1:]
+    inflow = np.empty(shape)
+    inflow[...] = decay * c * (spring.ambient_c if ambient_c is None else ambient_c)
+    path = _integrate(
+        np.array(state).reshape(2, -1), inflow.ravel(),
+        np.ascontiguousarray(power, np.float64).reshape(len(power), -1), spring.branches,
+        gain, 1.0 - decay, decay * latent, cut_off,
+    )  # fmt: skip
+    enthalpy, fraction, used = path.reshape(3, len(power), *shape)
+    return SmaStep(SmaState(enthalpy[-1], fraction[-1]), fraction, enthalpy, used)
 
-    # With few springs the call overhead of NumPy dominates, so H and xi share one array.
-    weight = np.empty((2, *hot.shape))
-    weight[0], weight[1] = 1.0 - decay, decay * latent
-    path = np.empty((len(power) + 1, *weight.shape))
-    path[0] = state
-    parts = np.empty_like(weight)
-    kept, released = parts
-    nodes, branches = spring.branches
-    steps = zip(path[:-1], path[:-1, 1], supply, path[1:, 0], path[1:, 1], strict=True)
-    for now, xi, supplied, enthalpy, fraction in steps:
-        np.multiply(now, weight, out=parts)
-        np.add(kept, released, out=kept)
-        np.add(kept, supplied, out=kept)
-        np.minimum(kept, hot, out=enthalpy)
-        limits = np.interp(enthalpy, nodes, branches)
-        np.maximum(xi, limits.real, out=kept)
-        np.minimum(kept, limits.imag, out=fraction)
-    flows = path[:-1] * weight
-    unpowered = flows[:, 0] + flows[:, 1] + inflow
-    used = (path[1:, 0] - unpowered) * (1.0 / gain if gain > 0 else 0.0)
-    return SmaStep(SmaState(*path[-1]), path[1:, 1], path[1:, 0], used)
+
+@compiled
+def _integrate(
+    state: Array,
+    inflow: Array,
+    power: Array,
+    branches: tuple[Array, Array, Array],
+    gain: float,
+    kept: float,
+    released: float,
+    cut_off: float,
+) -> Array:
+    """Integrate N springs over K steps, see `advance`.
+
+    Args:
+        state: H and xi before the first step, (2, N).
+        inflow: increase of H by the surrounding air in a step, (N,).
+        power: commanded share of the drive power in each step, (K, N).
+        branches: see `SmaSpring.branches`.
+        gain: increase of H at full power.
+        kept: factor on H.
+        released: factor on xi.
+        cut_off: H at the cut-off.
+
+    Returns:
+        H, xi and the share of the drive power used in each step, (3, K, N).
+    """
+    nodes, heating, cooling = branches
+    path = np.empty((3, *power.shape))
+    for i in range(power.shape[1]):
+        enthalpy, fraction = state[0, i], state[1, i]
+        hot = max(enthalpy, cut_off)
+        supply = gain if enthalpy <= cut_off else 0.0  # springs that start above get no power
+        for k in range(power.shape[0]):
+            unpowered = enthalpy * kept + fraction * released
+            enthalpy = min(unpowered + (power[k, i] * supply + inflow[i]), hot)
+            used = (enthalpy - (unpowered + inflow[i])) * (1.0 / gain if gain > 0.0 else 0.0)
+            if enthalpy < nodes[0]:
+                low, high = heating[0], cooling[0]
+            elif enthalpy >= nodes[-1]:
+                low, high = heating[-1], cooling[-1]
+            else:
+                j = np.searchsorted(nodes, enthalpy, "right") - 1
+                per_node, rest = 1.0 / (nodes[j + 1] - nodes[j]), enthalpy - nodes[j]
+                low = (heating[j + 1] - heating[j]) * per_node * rest + heating[j]
+                high = (cooling[j + 1] - cooling[j]) * per_node * rest + cooling[j]
+            fraction = min(max(fraction, low), high)
+            path[0, k, i], path[1, k, i], path[2, k, i] = enthalpy, fraction, used
+    return path
 
 
 def settle(spring: SmaSpring, power: Array, step_s: float) -> SmaStep:

@@ -7,20 +7,18 @@ measures their progress. The environments and the fitness evaluation both use `C
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from caterpillar_env.arrays import Array, Rows, select
+from caterpillar_env.arrays import Array, Rows, compiled
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import count_steps
 from caterpillar_env.morphology import Body
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
-from caterpillar_env.pose import Pose, SimulationState, Trace
+from caterpillar_env.pose import Pose, SimulationState, Trace, turn
 from caterpillar_env.randomization import Conditions
 from caterpillar_env.simulation import FREE_QPOS, Simulation
 
@@ -52,16 +50,10 @@ class Failure(IntEnum):
 
 
 MIN_LOAD_N = 1e-6  #: below this load, the robot is in the air
-#: Failures in order of increasing severity; the last one counts.
-_CAUSES = (
-    Failure.SAGGED, Failure.VEERED, Failure.VEERED, Failure.JUMPED, Failure.TIPPED, Failure.FLIPPED,
-    Failure.DIVERGED,
-)  # fmt: skip
 _NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # looking up enum members is slow
 
 
-@dataclass(frozen=True)
-class Thresholds:
+class Thresholds(NamedTuple):
     """Thresholds of the failures, checked every control interval for means over the body.
 
     The paper names the failures but gives no thresholds; these are ours. `up` is the vertical component
@@ -76,43 +68,59 @@ class Thresholds:
     veered_lateral_m: float = 0.12  #: VEERED if the centre of mass is off by more (a body length)
     sagged_share: float = 0.05  #: SAGGED if the mean share of the load on the body is higher
 
-    @cached_property
-    def limits(self) -> Array:
-        """Upper limits of the values that `judge` compares, in its order, (7, 1)."""
-        upper = (
-            self.sagged_share, self.veered_heading_rad, self.veered_lateral_m,
-            self.jumped_clearance_m, -self.tipped_up, -self.flipped_up, 0.5,
-        )  # fmt: skip
-        return np.array(upper)[:, None]
 
-
+@compiled
 def judge(
-    pose: Pose,
+    rows: Rows,
+    up: Array,
+    clearance_m: Array,
     lateral_m: Array,
     heading_rad: Array,
     body_load: Array,
     diverged: NDArray[np.bool_],
-    thresholds: Thresholds,
-) -> NDArray[np.int8]:
-    """Return the failures of R robots, values of `Failure`, shape (R,).
+    limits: Thresholds,
+    failure: NDArray[np.int8],
+) -> None:
+    """Write the failures of R robots into `failure`. Only a divergence replaces an earlier failure.
 
     Args:
-        pose: positions of the robots.
+        rows: indices of the robots, (R,).
+        up: mean upward axis of the elements, (R, 3).
+        clearance_m: height of the lowest point above the ground, m, (R,).
         lateral_m: lateral deviation of the centre of mass from the starting line, m, (R,).
         heading_rad: heading relative to the start, rad, (R,).
         body_load: mean share of the load that the body carries, see `Progress`, (R,).
         diverged: whether the integration became unstable, (R,).
-        thresholds: thresholds of the failures.
+        limits: thresholds of the failures.
+        failure: values of `Failure`, (B,).
     """
-    lean = -pose.up[:, 2]
-    heading, lateral = np.abs(heading_rad), np.abs(lateral_m)
-    values = np.array([body_load, heading, lateral, pose.clearance_m, lean, lean, diverged])
-    over = values > thresholds.limits
-    failure = np.zeros(len(lean), dtype=np.int8)
-    if over.any():
-        for code, fails in zip(_CAUSES, over, strict=True):
-            failure[fails] = code
-    return failure
+    for r, row in enumerate(rows):
+        if diverged[r]:
+            failure[row] = Failure.DIVERGED
+        elif failure[row] != Failure.NONE:
+            continue
+        elif up[r, 2] < limits.flipped_up:
+            failure[row] = Failure.FLIPPED
+        elif up[r, 2] < limits.tipped_up:
+            failure[row] = Failure.TIPPED
+        elif clearance_m[r] > limits.jumped_clearance_m:
+            failure[row] = Failure.JUMPED
+        elif (
+            abs(heading_rad[r]) > limits.veered_heading_rad
+            or abs(lateral_m[r]) > limits.veered_lateral_m
+        ):
+            failure[row] = Failure.VEERED
+        elif body_load[r] > limits.sagged_share:
+            failure[row] = Failure.SAGGED
+
+
+@compiled
+def _bear(rows: Rows, load_n: Array, duration_s: float, borne_s: Array) -> None:
+    """Add the share of the load on the body, times the duration, to `borne_s`, (B,)."""
+    for r, row in enumerate(rows):
+        feet_n, body_n = load_n[r]
+        share = body_n / np.maximum(feet_n + body_n, MIN_LOAD_N)
+        borne_s[row] += np.maximum(share, 0.0) * duration_s
 
 
 class Progress(NamedTuple):
@@ -306,39 +314,28 @@ class Crawl:
 
     def _measure(self, index: Rows, pose: Pose) -> Array:
         """Return the first six fields of `Progress`, (R, 6)."""
-        chosen = self._select(index)
+        moved_m = pose.com_m[:, :2] - self._start_m[index]
+        forward = turn(index, self._direction, pose.forward)
         measured = np.empty((len(index), 6))
-        both = np.empty((len(index), 2, 2))  # displacement and forward axis
-        np.subtract(pose.com_m[:, :2], self._start_m[chosen], out=both[:, 0])
-        both[:, 1] = pose.forward[:, :2]
-        cosine, sine = self._direction[chosen].T[..., None]
-        x, y = both[..., 0], both[..., 1]
-        along, across = x * cosine + y * sine, y * cosine - x * sine
         measured[:, 0] = pose.time_s
-        measured[:, 1], measured[:, 2] = along[:, 0], across[:, 0]
-        np.arctan2(across[:, 1], along[:, 1], out=measured[:, 3])
-        measured[:, 4] = self.simulation.energy_j[chosen]
-        measured[:, 5] = self._borne_s[chosen] / np.maximum(pose.time_s, EPISODE_S)
+        measured[:, 1:3] = turn(index, self._direction, moved_m)
+        measured[:, 3] = np.arctan2(forward[:, 1], forward[:, 0])
+        measured[:, 4] = self.simulation.energy_j[index]
+        measured[:, 5] = self._borne_s[index] / np.maximum(pose.time_s, EPISODE_S)
         return measured
 
     def _judge(self, index: Rows) -> None:
-        pose, chosen = self.simulation.pose(index), self._select(index)
-        feet_n, body_n = pose.load_n.T
-        share = body_n / np.maximum(feet_n + body_n, MIN_LOAD_N)
-        self._borne_s[chosen] += np.maximum(share, 0.0) * CONTROL_INTERVAL_S
-        measured = self._measured[chosen] = self._measure(index, pose)
+        pose = self.simulation.pose(index)
+        _bear(index, pose.load_n, CONTROL_INTERVAL_S, self._borne_s)
+        measured = self._measured[index] = self._measure(index, pose)
         _, _, lateral_m, heading_rad, _, body_load = measured.T
         diverged = self.simulation.diverged(index)
-        found = judge(pose, lateral_m, heading_rad, body_load, diverged, self.thresholds)
-        if found.any():
-            # Keep the first failure, but let a later divergence replace it.
-            keep = (self.failure[chosen] != _NONE) & (found != _DIVERGED)
-            self.failure[chosen] = np.where(keep, self.failure[chosen], found)
-
-    def _select(self, index: Rows) -> Rows | slice:
-        return select(index, len(self.failure))
+        judge(
+            index, pose.up, pose.clearance_m, lateral_m, heading_rad, body_load, diverged,
+            self.thresholds, self.failure,
+        )  # fmt: skip
 
     def _stopped(self, index: Rows) -> NDArray[np.bool_]:
-        code = self.failure[self._select(index)]
+        code = self.failure[index]
         stopped: NDArray[np.bool_] = code != _NONE if self.stop_on_failure else code == _DIVERGED
         return stopped

@@ -61,7 +61,7 @@ def export_data() -> dict[str, Any]:
         "episode_s": EPISODE_S,
         "min_load_n": MIN_LOAD_N,
         "failures": [failure.label for failure in Failure],
-        "thresholds": asdict(Thresholds()),
+        "thresholds": Thresholds()._asdict(),
         "loads": list(range(model.nsensordata))[LOADS],
         "spring": asdict(spring) | {name: getattr(spring, name) for name in derived} | {"nodes": NODES},
         "colours": spring_rgb(spring, ramp_c).round(4).tolist(),

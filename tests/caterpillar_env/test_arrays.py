@@ -1,7 +1,9 @@
+import runpy
+
 import numpy as np
 import pytest
 
-from caterpillar_env.arrays import cross, select
+from caterpillar_env.arrays import compiled, select
 
 
 @pytest.mark.parametrize("rows", [[0, 1, 2], [2, 1, 0], [0, 2], [1], []])
@@ -16,6 +18,15 @@ def test_all_rows_in_order_are_selected_without_a_copy():
     assert values[select(np.arange(3), 3)].base is values
 
 
-def test_cross_product_equals_that_of_numpy():
-    a, b = np.random.default_rng(0).normal(size=(2, 5, 4, 3))
-    np.testing.assert_array_equal(cross(a, b), np.cross(a, b))
+@pytest.mark.parametrize("writable", [True, False])
+def test_function_is_compiled_even_where_no_folder_of_the_cache_is_writable(
+    tmp_path, monkeypatch, writable
+):
+    module, cache = tmp_path / "doubling.py", tmp_path / "__pycache__"
+    module.write_text("def double(x):\n    return 2 * x\n")
+    if not writable:  # no folder can be made in the place of a file
+        cache.touch()
+        monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    double = compiled(runpy.run_path(str(module))["double"])
+    assert double(3) == 6
+    assert bool(list(tmp_path.glob("__pycache__/*.nbi"))) is writable

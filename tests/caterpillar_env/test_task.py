@@ -5,36 +5,19 @@ import pytest
 
 from caterpillar_env import Morphology, Physics
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.pose import Pose
 from caterpillar_env.task import Crawl, Failure, Thresholds, judge
 
 BODY = Morphology()
 JUMP_AT_ONCE = Thresholds(jumped_clearance_m=-1.0)  # everything is "clear of the ground"
 
 
-def seen(up_z=1.0, clearance_m=0.0):
-    """Return the arguments of `judge` for one robot."""
-    nothing = np.zeros((1, 3))
-    return Pose(
-        time_s=np.zeros(1),
-        com_m=nothing,
-        up=np.array([[0.0, 0.0, up_z]]),
-        forward=np.array([[1.0, 0.0, 0.0]]),
-        clearance_m=np.array([clearance_m]),
-        load_n=np.array([[0.3, 0.0]]),
-    )
-
-
 def judged(up_z=1.0, clearance_m=0.0, lateral_m=0.0, heading_rad=0.0, body_load=0.0, diverged=False):
-    code = judge(
-        seen(up_z, clearance_m),
-        np.array([lateral_m]),
-        np.array([heading_rad]),
-        np.array([body_load]),
-        np.array([diverged]),
-        Thresholds(),
+    measured = (
+        np.array([value]) for value in (clearance_m, lateral_m, heading_rad, body_load, diverged)
     )
-    return Failure(code[0])
+    failure = np.zeros(1, np.int8)
+    judge(np.array([0]), np.array([[0.0, 0.0, up_z]]), *measured, Thresholds(), failure)
+    return Failure(failure[0])
 
 
 def crawl(rows=1, thresholds=None, stop_on_failure=True):

@@ -15,7 +15,6 @@ from caterpillar_env import Failure, Morphology, Physics, SmaSpring, simulate
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.model import ModelBuilder
 from caterpillar_env.physics import SMA_STEP_S
-from caterpillar_env.pose import Pose
 from caterpillar_env.sma import SmaState, advance
 from caterpillar_env.task import Thresholds, judge
 from evolution.genome import Encoding
@@ -96,9 +95,18 @@ def test_failures_have_the_same_names(page):
         "diverged": rng.random(count) < 0.02,
     }
     up, heading_rad, lateral_m, clearance_m, body_load, diverged = posture.values()
-    axis = up[:, None] * [0.0, 0.0, 1.0]
-    pose = Pose(0 * up, 0 * axis, axis, axis, clearance_m, np.zeros((count, 2)))
-    failures = judge(pose, lateral_m, heading_rad, body_load, diverged, Thresholds())
+    failures, axes = np.zeros(count, np.int8), up[:, None] * [0.0, 0.0, 1.0]
+    judge(
+        np.arange(count),
+        axes,
+        clearance_m,
+        lateral_m,
+        heading_rad,
+        body_load,
+        diverged,
+        Thresholds(),
+        failures,
+    )
     expected = [Failure(failure).label for failure in failures]
     assert set(expected) == {failure.label for failure in Failure}
     rows = [{name: values[i].item() for name, values in posture.items()} for i in range(count)]
