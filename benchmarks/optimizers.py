@@ -36,7 +36,7 @@ from evolution import GaConfig, LocalEvaluator, RunConfig, ShadeConfig, evolve, 
 from evolution.optimizers.base import Optimizer
 from evolution.optimizers.ga import GeneticAlgorithm
 from evolution.priors.distributions import Gaussian, draw
-from evolution.study.statistics import bootstrap, expected_running_time
+from evolution.study.statistics import a12, bootstrap, expected_running_time
 
 BUDGET_S = 9000.0
 THRESHOLDS_M = (0.13, 0.2)
@@ -300,16 +300,15 @@ def name_of(threshold_m: float) -> str:
     return f"s_to_{1000 * threshold_m:.0f}_mm"
 
 
-def summarize(rows: polars.DataFrame) -> dict[str, Any]:
-    """Return the summary of an optimizer from the rows of its runs."""
+def summarize(rows: polars.DataFrame, shade: polars.DataFrame) -> dict[str, Any]:
+    """Return the summary of an optimizer from the rows of its runs and those of SHADE."""
     best_mm = rows["best_mm"].to_numpy()
-    median = bootstrap(np.median, (best_mm,))
-    summary: dict[str, Any] = {
-        "optimizer": rows["optimizer"][0],
-        "runs": len(rows),
-        "median, mm": f"{median.value:.0f} ({median.low:.0f} to {median.high:.0f})",
-        "range, mm": f"{best_mm.min():.0f} to {best_mm.max():.0f}",
-    }
+    summary: dict[str, Any] = {"optimizer": rows["optimizer"][0], "runs": len(rows)}
+    estimates = {"median, mm": (bootstrap(np.median, (best_mm,)), ".0f")}
+    estimates["A12 against shade"] = (a12(best_mm, shade["best_mm"].to_numpy()), ".2f")
+    for name, ((value, low, high), form) in estimates.items():
+        summary[name] = f"{value:{form}} ({low:{form}} to {high:{form}})"
+    summary["range, mm"] = f"{best_mm.min():.0f} to {best_mm.max():.0f}"
     for threshold_m in THRESHOLDS_M:
         time_s = rows[name_of(threshold_m)].to_numpy()
         reached = np.isfinite(time_s)
@@ -341,7 +340,7 @@ def main() -> None:
             polars.DataFrame(rows).sort("optimizer", "seed").write_csv(file)
     table = polars.DataFrame(rows)
     parts = [table.filter(optimizer=name) for name in NAMES]
-    report("optimizers", [summarize(part) for part in parts if len(part)])
+    report("optimizers", [summarize(part, parts[0]) for part in parts if len(part)])
 
 
 if __name__ == "__main__":

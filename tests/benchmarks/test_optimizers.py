@@ -96,8 +96,8 @@ def test_a_run_ends_with_its_budget_and_has_a_row(monkeypatch, tmp_path, name):
     monkeypatch.setitem(optimizers.OURS, "shade", replace(SMALL, optimizer="shade"))
     row = optimizers.run(name, 3, tmp_path)
     assert row["seed"] == 3
-    summary = optimizers.summarize(
-        polars.DataFrame([row, {**row, "best_mm": 250.0, "s_to_200_mm": 70.0}])
-    )
+    better = {**row, "best_mm": 250.0, "s_to_200_mm": 70.0}
+    summary = optimizers.summarize(polars.DataFrame([row, better]), polars.DataFrame([row, row]))
     assert summary["runs"] == 2
+    assert summary["A12 against shade"].startswith("0.75 (")
     assert summary["ERT to 200 mm, s"] == "9,070 (1 reached)"
