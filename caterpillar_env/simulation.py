@@ -176,8 +176,7 @@ class Simulation:
                 the internal joints (`model.joint_names`).
             rows: indices of the robots to move, (R,); all by default.
             qvel: MuJoCo generalized velocities, (R, nv); 0 by default.
-            standing: whether to raise or lower each robot until its lowest point touches the ground. On
-                uneven ground, this always happens.
+            standing: whether to put each robot on the ground; always done on uneven ground.
 
         Raises:
             CaterpillarError: `qpos` has the wrong shape.
