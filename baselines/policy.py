@@ -22,10 +22,10 @@ from baselines.config import TrainConfig, Training, hyperparameters, is_evaluate
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.files import COPY, write_bytes, write_json
+from caterpillar_env.files import COPY, digest_of, write_bytes, write_json
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
-from caterpillar_env.robot import Outcomes, digest_of
+from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import OnInterval
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -90,6 +91,33 @@ def write_json(path: Path, data: Any, advice: str = ELSEWHERE) -> None:
     write_bytes(path, (json.dumps(data, indent=2) + "\n").encode(), advice)
 
 
+def digest_of(data: Mapping[str, Any]) -> str:
+    """Return a hash of data that can be written as JSON."""
+    return hashlib.blake2b(json.dumps(data).encode(), digest_size=16).hexdigest()
+
+
+def with_digest(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return data with an entry `digest`, by which `read` detects damage."""
+    return {**data, "digest": digest_of(data)}
+
+
+def _check_digest(data: Any) -> Any:
+    """Return data without its digest, after checking it. Data without a digest is not checked.
+
+    Raises:
+        CaterpillarError: the data does not match its digest.
+    """
+    if not isinstance(data, dict) or not isinstance(data.get("digest"), str):
+        return data
+    rest = {name: value for name, value in data.items() if name != "digest"}
+    if digest_of(rest) != data["digest"]:
+        raise CaterpillarError(
+            "it does not match its digest, so it was damaged or edited; restore a copy of it, or remove "
+            "the entry digest to use it as it is"
+        )
+    return rest
+
+
 def parse_json(text: str) -> Any:
     """Parse JSON.
 
@@ -115,7 +143,7 @@ def read(
     missing: str,
     parse: Callable[[str], Any] = parse_json,
 ) -> T:
-    """Read, parse and convert a text file.
+    """Read, parse and convert a text file. An entry `digest` is checked and removed, see `with_digest`.
 
     Args:
         path: path of the file.
@@ -124,7 +152,8 @@ def read(
         parse: function that parses the text.
 
     Raises:
-        CaterpillarError: the file is missing or invalid, or is a device, a pipe or a folder.
+        CaterpillarError: the file is missing or invalid, does not match its digest, or is a device, a
+            pipe or a folder.
     """
     try:
         if not stat.S_ISREG(path.stat().st_mode):
@@ -136,6 +165,6 @@ def read(
         kind = path.suffix.removeprefix(".").upper() or "text"
         raise CaterpillarError(f"{path} is not {kind}: {problem}") from None
     try:
-        return make(data)
+        return make(_check_digest(data))
     except (CaterpillarError, RecursionError) as problem:
         raise CaterpillarError(f"{path}: {problem}") from None

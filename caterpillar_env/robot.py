@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +13,7 @@ from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError, check_fields
-from caterpillar_env.files import read, write_json
+from caterpillar_env.files import ELSEWHERE, digest_of, read, with_digest, write_json
 from caterpillar_env.gait import GaitTimings, count_steps, pair_names, spring_names
 from caterpillar_env.morphology import NAMES, Body, Morphology, segments_of
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
@@ -232,16 +230,22 @@ class Robot:
         except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise CaterpillarError(f"a field of the robot is missing or invalid: {error}") from None
 
-    def save(self, path: str | Path) -> None:
-        """Write the robot as JSON."""
-        write_json(Path(path), self.to_dict())
+    def save(self, path: str | Path, advice: str = ELSEWHERE) -> None:
+        """Write the robot as JSON, with a digest by which `load` detects damage.
+
+        Args:
+            path: path of the file.
+            advice: advice for the message if the file cannot be written.
+        """
+        write_json(Path(path), with_digest(self.to_dict()), advice)
 
     @classmethod
     def load(cls, path: str | Path) -> Robot:
         """Read a robot from its JSON file, or the best one from a run folder.
 
         Raises:
-            CaterpillarError: the file does not exist or does not describe a robot.
+            CaterpillarError: the file does not exist, does not describe a robot, or does not match its
+                digest.
         """
         path, advice = Path(path), "give a run folder or the JSON file of one robot"
         if os.path.isdir(path):
@@ -257,8 +261,3 @@ class Robot:
 def _segment(data: Any) -> Morphology:
     """Read the morphology of a segment. Unlike in `Morphology.of`, no parameter may be missing."""
     return Morphology.of({**dict.fromkeys(NAMES), **data} if isinstance(data, dict) else data)
-
-
-def digest_of(data: dict[str, Any]) -> str:
-    """Return a hash of data that can be written as JSON."""
-    return hashlib.blake2b(json.dumps(data).encode(), digest_size=16).hexdigest()

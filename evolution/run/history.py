@@ -13,7 +13,6 @@ import numpy as np
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.files import write_json
 from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.robot import Outcomes, Robot
 from caterpillar_env.task import Failure
@@ -261,7 +260,7 @@ class History:
             file = self.folder / "best.json"
             if (not known and self.best is not before) or not file.exists():
                 advice = f"free some space and run `caterpillar resume {self.folder}`"
-                write_json(file, self.robot(self.best).to_dict(), advice)
+                self.robot(self.best).save(file, advice)
         if not known:  # last, so that a resumed run writes what could not be written before
             self._journal.complete(self._completions[number])
         return outcomes

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from caterpillar_env.errors import CaterpillarError, check_fields, show
-from caterpillar_env.files import read, write_json, writing
+from caterpillar_env.files import read, with_digest, write_json, writing
 from caterpillar_env.task import EPISODE_S
 from evolution.study.arms import Arm, EvolutionArm, make_arm
 
@@ -219,7 +219,7 @@ def begin(config: StudyConfig, folder: Path) -> None:
             raise CaterpillarError(
                 f"{folder} is not empty and holds no study; choose another with --out"
             )
-        write_json(file, config.to_dict())
+        write_json(file, with_digest(config.to_dict()))
 
 
 def load(folder: Path) -> StudyConfig:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import os
+import hashlib
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,11 +14,13 @@ from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.files import COPY, write_bytes, writing
 from evolution.run.database import JournalError
 from evolution.run.history import History
 from evolution.study.config import Cell, StudyConfig
 
 DATA = "evaluations.parquet"  #: name of the file with all evaluations of a study
+DIGEST = f"{DATA}.sha256"  #: name of the file with its digest, for `sha256sum --check`
 _GROUP_ROWS = 10_000
 _KEEP = "restore a copy of it, or remove it if the folders of all runs are there"
 _OUTCOME = ("evaluation", "generation", "failure", "stopped", "distance_m", "energy_j", "simulated_s")
@@ -49,16 +52,23 @@ def read_run(config: StudyConfig, cell: Cell, study: Path) -> History | None:
 
 
 def read_kept(folder: Path) -> dict[Cell, polars.DataFrame]:
-    """Read the evaluations that an earlier `collect` wrote into the file `DATA`, finished or not."""
-    file = folder / DATA
+    """Read the evaluations that an earlier `collect` wrote into the file `DATA`, finished or not.
+
+    Raises:
+        CaterpillarError: the file cannot be read, or does not match its digest.
+    """
+    file, digest = folder / DATA, folder / DIGEST
     if not file.is_file():
         return {}
     try:
-        table = polars.read_parquet(file)
+        content = file.read_bytes()
+        if digest.is_file() and digest.read_bytes() != _digest(content):
+            raise CaterpillarError(f"{file} is damaged: it does not match {DIGEST}; {_KEEP}")
+        table = polars.read_parquet(io.BytesIO(content))
         if missing := {"arm", "seed", *_OUTCOME} - {"stopped"} - set(table.columns):
             raise CaterpillarError(f"{file} has no columns {', '.join(sorted(missing))}; {_KEEP}")
         return dict(_split(table))
-    except (OSError, polars.exceptions.PolarsError) as error:
+    except (OSError, polars.exceptions.PolarsError, polars.exceptions.PanicException) as error:
         raise CaterpillarError(f"cannot read {file}: {error}; {_KEEP}") from None
 
 
@@ -93,16 +103,20 @@ def collect(config: StudyConfig, folder: Path) -> Results:
     Runs whose folders were deleted are taken from this file if an earlier call wrote it. The file also
     has the completed generations of unfinished runs, which `run_study` continues.
     """
-    found, file = read_all(config, folder), folder / DATA
+    found, file, digest = read_all(config, folder), folder / DATA, folder / DIGEST
     if found:
         table = polars.concat(found.values(), how="diagonal")
         if not (file.exists() and polars.read_parquet(file).equals(table)):
-            partial = folder / f".{DATA}.partial"
+            content = io.BytesIO()
             # In small groups, of which a version-control system stores only those that change.
             table.write_parquet(
-                partial, compression="zstd", compression_level=15, row_group_size=_GROUP_ROWS
+                content, compression="zstd", compression_level=15, row_group_size=_GROUP_ROWS
             )
-            os.replace(partial, file)
+            with writing(digest, COPY):  # a process that is killed now leaves no wrong digest
+                digest.unlink(missing_ok=True)
+            write_bytes(file, content.getvalue(), COPY)
+        if not digest.exists():
+            write_bytes(digest, _digest(file.read_bytes()), COPY)
     cells = config.cells()
     finished = {cell: found[cell] for cell in cells if is_finished(config, cell, found.get(cell))}
     tables = list(finished.values())
@@ -110,6 +124,11 @@ def collect(config: StudyConfig, folder: Path) -> Results:
         polars.concat(tables, how="diagonal") if tables else polars.DataFrame(),
         [cell for cell in cells if cell not in finished],
     )
+
+
+def _digest(content: bytes) -> bytes:
+    """Return the content of the file `DIGEST`."""
+    return f"{hashlib.sha256(content).hexdigest()}  {DATA}\n".encode()
 
 
 def _to_table(cell: Cell, history: History) -> polars.DataFrame:

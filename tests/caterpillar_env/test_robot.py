@@ -72,6 +72,25 @@ def test_run_folder_loads_its_best_robot(individual, tmp_path):
     assert Robot.load(tmp_path).to_dict() == individual.to_dict()
 
 
+def test_a_damaged_file_gives_the_same_robot_or_an_error(individual, tmp_path):
+    file = tmp_path / "best.json"
+    individual.save(file)
+    content, rng, refused = file.read_bytes(), np.random.default_rng(0), 0
+    for place in rng.integers(0, len(content), 500):
+        altered = bytearray(content)
+        altered[place] ^= 1 << int(rng.integers(0, 8))
+        file.write_bytes(altered)
+        try:
+            assert Robot.load(file).to_dict() == individual.to_dict()
+        except CaterpillarError:
+            refused += 1
+    assert refused > 250  # the others change spaces
+    # People may edit the file without its digest.
+    data = individual.to_dict() | {"fitness_m": 0.5}
+    file.write_text(json.dumps(data))
+    assert Robot.load(file).fitness_m == 0.5
+
+
 def test_json_names_units_and_pairs(individual):
     data = individual.to_dict()
     assert data["format"] == FORMAT

@@ -130,8 +130,12 @@ def test_one_bad_run_does_not_end_the_list_of_runs(run, elsewhere, capsys):
 
 def test_best_robot_with_a_text_as_fitness_is_refused(run, elsewhere, capsys):
     folder = shutil.copytree(run, elsewhere / "run")
-    data = json.loads((folder / "best.json").read_text())
-    (folder / "best.json").write_text(json.dumps(data | {"fitness_m": "far"}))
+    data = json.loads((folder / "best.json").read_text()) | {"fitness_m": "far"}
+    (folder / "best.json").write_text(json.dumps(data))
+    assert cli.main(["replay", "run", "--no-video"]) == 1
+    assert "best.json: it does not match its digest" in capsys.readouterr().err
+    del data["digest"]
+    (folder / "best.json").write_text(json.dumps(data))
     assert cli.main(["replay", "run", "--no-video"]) == 1
     assert "best.json: fitness_m = 'far' must be a finite number" in capsys.readouterr().err
 
