@@ -28,6 +28,7 @@ def test_ranks_of_the_advance_are_compared_with_the_simulator(monkeypatch, capsy
         (["environments", "--repeats", "1", "--envs", "2"], 2),
         (["worlds", "scores", "--robots", "2", "--worlds", "flat", "steps"], 1),
         (["worlds", "costs", "--robots", "1", "--repeats", "1", "--worlds", "rough"], 1),
+        (["soak", "--steps", "300", "--cycles", "5"], 2),
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, list) else "",
 )
