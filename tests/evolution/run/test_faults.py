@@ -1,4 +1,7 @@
-"""Runs that are killed, again and again, end as if nothing had happened."""
+"""Runs that are killed, again and again, end as if nothing had happened.
+
+The environment variable CATERPILLAR_KILLS is the number of times that each of them is killed.
+"""
 
 import os
 import signal
@@ -11,7 +14,6 @@ import numpy as np
 import polars
 import pytest
 
-from caterpillar_env.robot import Robot
 from evolution.run.history import load
 
 RUN = """
@@ -23,14 +25,16 @@ from caterpillar_env.physics import Physics
 from evolution.run.evaluators import LocalEvaluator
 from evolution.optimizers.cma_es import CmaConfig
 from evolution.optimizers.ga import GaConfig
+from evolution.optimizers.shade import ShadeConfig
 
-folder, optimizer = Path(sys.argv[1]), sys.argv[2]
-target_m = float(sys.argv[3]) if sys.argv[3:] else None
+folder, kind, generations = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+target_m = float(sys.argv[4]) if sys.argv[4:] else None
 evaluators.CHUNK = 4
 config = run.RunConfig(
-    seed=3, generations=6, optimizer=optimizer, physics=Physics(num_segments=2, timestep_s=0.01),
-    ga=GaConfig(population=10, hall_of_fame=2), cma=CmaConfig(cma_population=8),
-    target_m=target_m,
+    seed=3, generations=generations, optimizer="ga" if kind == "racing" else kind,
+    physics=Physics(num_segments=2, timestep_s=0.01), cma=CmaConfig(cma_population=8),
+    ga=GaConfig(population=10, hall_of_fame=2), shade=ShadeConfig(shade_population=8),
+    race_share=0.5 if kind == "racing" else 1.0, target_m=target_m,
 )
 
 class Logged(LocalEvaluator):
@@ -48,11 +52,15 @@ else:
 """
 
 
-KILLS = 3
+KILLS = int(os.environ.get("CATERPILLAR_KILLS", "3"))
+GENERATIONS = 2 * KILLS
+#: Largest number of genomes that a kill loses: a chunk of four, or a generation of ten and its leaders.
+LOST = {"ga": 4, "cma-es": 4, "shade": 4, "random": 4, "racing": 15}
 
 
-def process(folder, optimizer, *target_m):
-    return subprocess.Popen([sys.executable, "-c", RUN, str(folder), optimizer, *map(str, target_m)])
+def process(folder, kind, *target_m):
+    arguments = [folder, kind, GENERATIONS, *target_m]
+    return subprocess.Popen([sys.executable, "-c", RUN, *map(str, arguments)])
 
 
 def evaluated(folder):
@@ -63,40 +71,43 @@ def evaluated(folder):
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory):
-    """Takes the name of an optimizer; the folder of a run that ended without being killed."""
+    """Takes the kind of a run; the folder of a run that ended without being killed."""
 
     @cache
-    def run(optimizer):
+    def run(kind):
         folder = tmp_path_factory.mktemp("uninterrupted") / "whole"
-        assert process(folder, optimizer).wait() == 0
+        assert process(folder, kind).wait() == 0
         return folder
 
     return run
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("optimizer", ["ga", "cma-es"])
-def test_killed_at_random_points_equals_uninterrupted(uninterrupted, tmp_path, optimizer):
-    whole, broken = uninterrupted(optimizer), tmp_path / "broken"
+@pytest.mark.parametrize("kind", LOST)
+def test_killed_at_random_points_equals_uninterrupted(uninterrupted, tmp_path, kind):
+    whole, broken = uninterrupted(kind), tmp_path / "broken"
     rng = np.random.default_rng(0)
-    for _ in range(KILLS):
+    for kill in range(KILLS):
         before = evaluated(broken)
-        worker = process(broken, optimizer)
-        # After one to three chunks more have been begun, and then at any moment of the last.
-        begun = before + 4 * int(rng.integers(1, 4))
-        while evaluated(broken) < begun and worker.poll() is None:
+        worker = process(broken, kind)
+        # After one or two chunks more have been begun, and then at any moment of the last. Every
+        # fifth time at any moment since the start of the process, with or without a journal.
+        early = kill % 5 == 4
+        begun = before + LOST[kind] * int(rng.integers(1, 3))
+        while not early and evaluated(broken) < begun and worker.poll() is None:
             time.sleep(0.005)
-        time.sleep(float(rng.uniform(0.0, 0.15)))
+        time.sleep(float(rng.uniform(0.0, 3.0 if early else 0.15)))
         assert worker.poll() is None, "the run was over before the last kill"
         os.kill(worker.pid, signal.SIGKILL)
         worker.wait()
-    assert process(broken, optimizer).wait() == 0
+    assert process(broken, kind).wait() == 0
 
     assert load(broken).table().drop("session").equals(load(whole).table().drop("session"))
-    assert Robot.load(broken).to_dict() == Robot.load(whole).to_dict()
-    assert load(broken).table()["session"].n_unique() > 2
-    # Nothing is evaluated twice but the chunk of four that was in flight at each kill.
-    assert evaluated(broken) <= evaluated(whole) + 4 * KILLS
+    assert (broken / "best.json").read_bytes() == (whole / "best.json").read_bytes()
+    assert load(broken).table()["session"].n_unique() > 1
+    # Nothing is evaluated twice but what was in flight at each kill.
+    assert evaluated(broken) <= evaluated(whole) + LOST[kind] * KILLS
+    assert not list(broken.glob(".*.partial"))
 
 
 @pytest.mark.slow
