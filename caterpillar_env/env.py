@@ -103,7 +103,7 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
     ) -> None:
         arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         EzPickle.__init__(self, **arguments)
-        if render_mode not in (None, "rgb_array"):
+        if not (render_mode is None or (isinstance(render_mode, str) and render_mode == "rgb_array")):
             raise CaterpillarError(f'render_mode must be None or "rgb_array"; got {show(render_mode)}')
         body = Morphology.of({} if morphology is None else morphology)
         self._episodes = Episodes([body], EpisodeConfig.of(arguments), threads=1)

@@ -66,7 +66,10 @@ def check_choice(name: str, value: Any, choices: Any) -> None:
 
 def to_number(value: Any) -> int | float | None:
     """Return a finite number as a Python number, or None for other values, such as True or 10**400."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+    # NumPy's time differences are integers.
+    if isinstance(value, (bool, np.timedelta64)) or not isinstance(
+        value, (int, float, np.integer, np.floating)
+    ):
         return None
     try:
         finite = math.isfinite(value)

@@ -192,7 +192,7 @@ def count_steps(duration_s: float, step_s: float, what: str) -> int:
     duration, step = to_number(duration_s), to_number(step_s)
     shown = f"{show(duration_s)} s" if duration is None else f"{duration:g} s"
     steps = duration / step if duration is not None and step else 0.0
-    count = round(steps) if steps < 2 * MAX_STEPS else 0
+    count = round(steps) if 0 < steps < 2 * MAX_STEPS else 0
     if not 1 <= count <= MAX_STEPS:
         raise CaterpillarError(
             f"{what} of {shown} must be a whole multiple of {step_s} s, at most {MAX_STEPS:,} times it"

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError, check_fields
+from caterpillar_env.errors import CaterpillarError, check_fields, show
 from caterpillar_env.files import ELSEWHERE, digest_of, read, with_digest, write_json
 from caterpillar_env.gait import GaitTimings, count_steps, pair_names, spring_names
 from caterpillar_env.morphology import NAMES, Body, Morphology, segments_of
@@ -202,7 +202,7 @@ class Robot:
         Raises:
             CaterpillarError: a field is missing or invalid.
         """
-        if not isinstance(data, dict) or data.get("format") != FORMAT:
+        if not isinstance(data, dict) or show(data.get("format")) != show(FORMAT):
             raise CaterpillarError(
                 f'not a robot: expected JSON with "format": "{FORMAT}", as in best.json (for a trained '
                 "policy, use caterpillar rl eval)"

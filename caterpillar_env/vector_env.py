@@ -89,7 +89,7 @@ class CaterpillarVectorEnv(
         arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         EzPickle.__init__(self, **arguments)
         config = EpisodeConfig.of(arguments)
-        if render_mode not in (None, "rgb_array"):
+        if not (render_mode is None or (isinstance(render_mode, str) and render_mode == "rgb_array")):
             raise CaterpillarError(
                 f'render_mode of the vector environment must be None or "rgb_array"; got '
                 f"{show(render_mode)}"
@@ -188,7 +188,8 @@ class CaterpillarVectorEnv(
         if seed is None or isinstance(seed, (int, np.integer)):
             seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
         else:
-            seeds = list(seed) if isinstance(seed, (Sequence, np.ndarray)) else []
+            listed = isinstance(seed, Sequence) or (isinstance(seed, np.ndarray) and seed.ndim)
+            seeds = list(seed) if listed else []
         if len(seeds) != self.num_envs:
             raise CaterpillarError(
                 f"seed must be an integer or {self.num_envs} of them; got {show(seed)}"

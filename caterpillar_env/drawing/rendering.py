@@ -65,7 +65,7 @@ class View:
                 raise RenderingError(
                     f"{name} must be an integer from 1 to 8192 (pixels); got {show(value)}"
                 )
-        if self.camera_name not in CAMERAS:
+        if not isinstance(self.camera_name, str) or self.camera_name not in CAMERAS:
             raise RenderingError(
                 f"camera_name must be one of {', '.join(CAMERAS)}; got {show(self.camera_name)}"
             )

@@ -120,7 +120,7 @@ class StudyConfig:
         known = [f.name for f in fields(cls) if f.name not in ("arms", "sources")]
         if unknown := set(settings) - set(known):
             raise CaterpillarError(
-                f"a study has no {', '.join(sorted(unknown))}; its fields are base, arms, "
+                f"a study has no {', '.join(sorted(map(str, unknown)))}; its fields are base, arms, "
                 f"{', '.join(known)}"
             )
         arms = {name: make_arm(name, arm, sources["base"]) for name, arm in sources["arms"].items()}

@@ -45,11 +45,13 @@ def nest(depth):
 
 HOSTILE = {
     "huge integer": 10**400, "integer of 5000 digits": 10**5000, "huge": 1e308, "tiny": 5e-324,
-    "half": 0.5, "minus": -1, "nan": np.nan, "inf": np.inf, "true": True, "text": "x",
-    "long text": "x" * 100_000, "none": None, "list": [1], "ragged": [[1.0], [1.0, 2.0]],
+    "half": 0.5, "minus": -1, "huge minus": -1e308, "nan": np.nan, "inf": np.inf, "true": True,
+    "text": "x", "long text": "x" * 100_000, "none": None, "list": [1], "ragged": [[1.0], [1.0, 2.0]],
     "table": {"a": 1}, "object": object(), "deep": nest(3000), "array": np.array([np.nan, 2.0]),
+    "0-d array": np.array(3), "time difference": np.timedelta64(3), "number as a key": {1: 2},
 }  # fmt: skip
-FROM_JSON = [value for key, value in HOSTILE.items() if key not in ("object", "array")]
+NOT_JSON = ("object", "array", "0-d array", "time difference", "number as a key")
+FROM_JSON = [value for key, value in HOSTILE.items() if key not in NOT_JSON]
 STUDY = {"arms": {"ga-uniform": {"prior": "uniform"}}, "seeds": [0], "budget_s": 60}
 
 
@@ -107,6 +109,7 @@ def test_studies(name):
 def test_tables_of_studies():
     for value in HOSTILE.values():
         attempt(StudyConfig.from_dict, value)
+        attempt(StudyConfig.from_dict, STUDY | value if isinstance(value, dict) else value)
         for arm in ({"kind": value}, {"physics": value, "ga": {"population": value}}):
             attempt(StudyConfig.from_dict, STUDY | {"arms": {"ga-uniform": arm}})
 
@@ -132,14 +135,18 @@ def test_names_of_arms_stay_in_their_folder(name):
 def test_arguments_of_environments(name):
     small = {"num_segments": 2}
     for key, value in HOSTILE.items():
-        if key not in ("inf", "array"):  # a few suffice: environments take milliseconds
+        if key != "inf":  # a few suffice: environments take milliseconds
             attempt(lambda v: CaterpillarVectorEnv(**{"physics": small, name: v}), value)
-    if name in ("morphology", "physics", "gait_period_s", "width"):
-        attempt(lambda v: CaterpillarEnv(**{name: v}), 10**400)
+    if name in ("morphology", "physics", "gait_period_s", "width", "render_mode"):
+        for key in ("huge integer", "array"):
+            attempt(lambda v: CaterpillarEnv(**{name: v}), HOSTILE[key])
 
 
-def test_seeds_options_and_actions():
-    env = CaterpillarVectorEnv(2, physics={"num_segments": 2}, threads=1)
+@pytest.mark.parametrize("mode", ["timing", "phase", "switch"])
+def test_seeds_options_and_actions(mode):
+    env = CaterpillarVectorEnv(
+        2, physics={"num_segments": 2}, action_mode=mode, gait_period_s=0.5, threads=1
+    )
     for value in HOSTILE.values():
         attempt(lambda v: env.reset(seed=v), value)
         attempt(lambda v: env.reset(seed=[v, v]), value)
@@ -185,6 +192,7 @@ def test_genomes_and_gaits():
         attempt(encoding.check, [value] * 12)
         attempt(lambda v: GaitTimings(v, np.zeros(2), np.zeros(2)), value)
         attempt(lambda v: GaitTimings(5.0, v, v), value)
+        attempt(lambda v: GaitTimings(v, [1.0], [2.0]), value)
         attempt(lambda v: count_steps(v, 0.01, "it"), value)
         attempt(lambda v: nominal_robot().simulate(v, duration_s=0.1), value)
 
