@@ -45,11 +45,15 @@ def test_signals_end_a_run_as_ctrl_c_does(elsewhere, monkeypatch, capsys, number
         os.kill(os.getpid(), number)
         time.sleep(5.0)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(Reporter, "generation", stop)
-        assert cli.main(FLAGS) == 130
+    before = signal.signal(number, signal.SIG_DFL)  # nohup ignores SIGHUP
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(Reporter, "generation", stop)
+            assert cli.main(FLAGS) == 130
+        assert signal.getsignal(number) is signal.SIG_DFL
+    finally:
+        signal.signal(number, before)
     assert "stopped; continue with: caterpillar resume run" in capsys.readouterr().err
-    assert signal.getsignal(number) is signal.SIG_DFL
     assert len(load("run").generations) == 1
     assert cli.main(["resume", "run", "--no-video"]) == 0
     assert len(load("run").generations) == 2
