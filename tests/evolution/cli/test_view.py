@@ -7,9 +7,12 @@ import socket
 import subprocess
 import sys
 import urllib.request
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from caterpillar_env.gait import GaitTimings
 from evolution import cli
 from evolution.config import RunConfig
 from evolution.run.journal import Journal
@@ -54,10 +57,8 @@ def test_wrong_input_raises_a_helpful_error(arguments, hint, tmp_path, monkeypat
     pytest.importorskip("viser")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "other.json").write_text("[1]")
-    nominal_robot().save(tmp_path / "slow.json")
-    text = (tmp_path / "slow.json").read_text()
-    text = re.sub(r'(on_s|off_s)": [0-9.]+', r'\1": 0.1', text)
-    (tmp_path / "slow.json").write_text(text.replace('"period_s": 5.0', '"period_s": 0.25'))
+    robot, times_s = nominal_robot(), np.full(6, 0.1)
+    replace(robot, timings=GaitTimings(0.25, times_s, times_s)).save(tmp_path / "slow.json")
     assert cli.main(["view", *arguments]) in (1, 2)
     output = capsys.readouterr()
     assert output.out == ""
