@@ -202,7 +202,7 @@ def test_play_moves_the_robot_until_the_end(browser, page, width_px):
     tab.play.click()
     assert tab.play.inner_text() == "Play"
     paused_s = tab.time_s()
-    assert differing(start, tab.picture()) > 0.005
+    assert differing(start, tab.picture()) > 0.002  # of a still picture, it is 0
     assert tab.time_s() == paused_s
     tab.seek(0.98)
     tab.play.click()
