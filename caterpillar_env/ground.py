@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from caterpillar_env.arrays import Array
+from caterpillar_env.arrays import Array, compiled
 from caterpillar_env.worlds import FIRST_STEP_M, Patches, Rough, Steps, World
 
 #: Contact bits of the feet and of the skin.
@@ -147,12 +147,23 @@ def clearances_m(world: World, positions_m: Any, matrices: Any, half_axes_m: Any
         Heights, m, shape (...); negative below the ground.
     """
     if world.level:
-        reach = matrices[..., 6:] * half_axes_m
-        lowest: Array = positions_m[..., 2] - np.sqrt(np.add.reduce(reach * reach, axis=-1))
+        lowest: Array = positions_m[..., 2] - _reach_m(matrices[..., 6:], half_axes_m)
         return lowest
     heights, normals = world.surface(positions_m[..., 0], positions_m[..., 1])
     rows = zip(np.split(normals, 3, axis=-1), np.split(matrices, 3, axis=-1), strict=True)
-    reach = sum(normal * row for normal, row in rows) * half_axes_m
-    below = np.sqrt(np.add.reduce(reach * reach, axis=-1)) / normals[..., 2]
-    above: Array = positions_m[..., 2] - heights - below
+    directions = sum(normal * row for normal, row in rows)
+    above: Array = positions_m[..., 2] - heights - _reach_m(directions, half_axes_m) / normals[..., 2]
     return above
+
+
+@compiled
+def _reach_m(directions: Array, half_axes_m: Array) -> Array:
+    """Return the distance from the centres of ellipsoids to their tangent planes, m, (...).
+
+    Args:
+        directions: unit normals of the planes, in the frames of the ellipsoids, (..., 3).
+        half_axes_m: half axes, m, (..., 3).
+    """
+    reach = directions * half_axes_m
+    x, y, z = reach[..., 0], reach[..., 1], reach[..., 2]
+    return np.sqrt(x * x + y * y + z * z)
