@@ -100,7 +100,7 @@ def elements() -> Figure:
         (inside,) = axes.plot(front - L / 4, AXIS, "s", ms=9, mfc="white", mec=_INK)
         if segment:
             (neck,) = axes.plot(front + L / 4, AXIS, "o", ms=10, mfc="white", mec=_FORCE, mew=2)
-            shift = 0.6 * (-1) ** segment  # so that the ends of two springs can be told apart
+            shift = 0.6 * (-1) ** segment  # so that the ends of two springs do not overlap
             for height in (AXIS + Y + shift, AXIS - Y + shift):
                 ends = front + L + X, front - X
                 (spring,) = axes.plot(ends, [height] * 2, "o-", color=_SPRING, lw=2, ms=3, zorder=1)
