@@ -25,6 +25,7 @@ _BOUNDS = {
     "ctrl_cost_weight": (0.0, 1e9),
     "failure_cost": (0.0, 1e9),
     "reset_noise_scale": (0.0, 1000.0),
+    "goal_heading_rad": (-0.7, 0.7),  # within the limit of `Failure.VEERED`
 }
 
 
@@ -47,6 +48,7 @@ class EpisodeConfig:
     ctrl_cost_weight: float
     failure_cost: float
     reset_noise_scale: float
+    goal_heading_rad: float
     randomization: Randomization | None
     faults: Faults | None
     terminate_on_failure: bool

@@ -53,6 +53,8 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         failure_cost: cost of a failure.
         reset_noise_scale: at reset, hinges are displaced by up to this many rad and axial joints by up
             to this many cm.
+        goal_heading_rad: direction to crawl in, counter-clockwise from the heading at reset, from -0.7
+            to 0.7 rad. Distances, rewards and the heading in the observation refer to it.
         randomization: ranges of the conditions to sample at each reset: a mapping from fields of
             `Randomization` to lower and upper bounds.
         faults: springs that fail in each episode: a number, or a mapping of fields of `Faults`.
@@ -93,6 +95,7 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         ctrl_cost_weight: float = 0.0,
         failure_cost: float = 5.0,
         reset_noise_scale: float = 0.0,
+        goal_heading_rad: float = 0.0,
         randomization: Randomization | Mapping[str, Any] | None = None,
         faults: Faults | Mapping[str, Any] | int | None = None,
         terminate_on_failure: bool = True,

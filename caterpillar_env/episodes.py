@@ -138,7 +138,9 @@ class Episodes:
         if config.faults is not None:
             for row, g in zip(rows, generators, strict=True):
                 self._kept[row], self._fault_step[row] = config.faults.draw(physics.num_springs, g)
-        self.crawl.reset(bodies, rows, conditions=conditions, offset=offset)
+        self.crawl.reset(
+            bodies, rows, conditions=conditions, goal_heading_rad=config.goal_heading_rad, offset=offset
+        )
         self._scale_bodies(rows)
         self._intervals[rows] = 0
         state, start = self.crawl.simulation.state(rows), self.crawl.progress(rows)

@@ -67,7 +67,7 @@ def observe(
     Args:
         physics: physics of the robots.
         state: positions, velocities and spring states.
-        heading_rad: heading relative to the start, rad, (R,).
+        heading_rad: heading relative to the goal heading, rad, (R,).
         morphology: body parameters scaled to [-1, 1], (R, 8).
         clock_period_s: gait period for the phase entries, s; None omits them.
     """

@@ -87,8 +87,8 @@ def judge(
         rows: indices of the robots, (R,).
         up: mean upward axis of the elements, (R, 3).
         clearance_m: height of the lowest point above the ground, m, (R,).
-        lateral_m: lateral deviation of the centre of mass from the starting line, m, (R,).
-        heading_rad: heading relative to the start, rad, (R,).
+        lateral_m: displacement of the centre of mass to the left of the goal heading, m, (R,).
+        heading_rad: heading relative to the goal heading, rad, (R,).
         body_load: mean share of the load that the body carries, see `Progress`, (R,).
         diverged: whether the integration became unstable, (R,).
         limits: thresholds of the failures.
@@ -127,9 +127,9 @@ class Progress(NamedTuple):
     """Progress of R robots since reset."""
 
     time_s: Array  #: simulated time, (R,)
-    distance_m: Array  #: of the centre of mass along the starting heading; negative is backwards, (R,)
-    lateral_m: Array  #: displacement to the left of the starting heading, (R,)
-    heading_rad: Array  #: heading relative to the start, counter-clockwise, in (-pi, pi], (R,)
+    distance_m: Array  #: of the centre of mass along the goal heading; negative is backwards, (R,)
+    lateral_m: Array  #: displacement to the left of the goal heading, (R,)
+    heading_rad: Array  #: heading relative to the goal, counter-clockwise, in (-pi, pi], (R,)
     energy_j: Array  #: electrical energy used, (R,)
     body_load: Array  #: share of the load on the body, mean over at least `EPISODE_S`, (R,)
     failure: NDArray[np.int8]  #: values of `Failure`, (R,)
@@ -141,7 +141,7 @@ class CrawlState(NamedTuple):
     simulation: SimulationState
     failure: NDArray[np.int8]  #: (R,)
     start_m: Array  #: horizontal position at reset, (R, 2)
-    direction: Array  #: cosine and sine of the starting heading, (R, 2)
+    direction: Array  #: cosine and sine of the goal heading, (R, 2)
     measured: Array  #: the first six fields of `Progress`, (R, 6)
     borne_s: Array  #: load share of the body integrated over time, (R,)
 
@@ -191,7 +191,7 @@ class Crawl:
         self.stop_on_failure = stop_on_failure
         self.failure = np.zeros(len(bodies), dtype=np.int8)
         self._start_m = np.zeros((len(bodies), 2))
-        self._direction = np.zeros((len(bodies), 2))  # cosine and sine of the starting heading
+        self._direction = np.zeros((len(bodies), 2))  # cosine and sine of the goal heading
         self._measured = np.zeros((len(bodies), 6))  # the first six fields of `Progress`
         self._borne_s = np.zeros(len(bodies))  # load share of the body integrated over time
         self._start(self.simulation.rows(), 0.0)
@@ -203,6 +203,7 @@ class Crawl:
         *,
         conditions: Sequence[Conditions | None] | None = None,
         heading_rad: float = 0.0,
+        goal_heading_rad: float = 0.0,
         offset: Array | None = None,
     ) -> None:
         """Return robots to the start, at rest and cold.
@@ -211,7 +212,8 @@ class Crawl:
             bodies: new body of each of these robots. By default, bodies do not change.
             rows: indices of the robots to reset, (R,); all by default.
             conditions: conditions of each of these robots; None means those of `physics`.
-            heading_rad: direction to crawl in, counter-clockwise from world x, rad.
+            heading_rad: direction that the robots face, counter-clockwise from world x, rad.
+            goal_heading_rad: direction to crawl in, counter-clockwise from the one they face, rad.
             offset: offset to add to the positions of the internal joints, m or rad, (R, J).
         """
         self.simulation.reset(bodies, rows, conditions=conditions)
@@ -224,7 +226,7 @@ class Crawl:
             if offset is not None:
                 qpos[:, FREE_QPOS:] += offset
             self.simulation.place(qpos, index, standing=offset is not None)
-        self._start(index, heading_rad)
+        self._start(index, heading_rad + goal_heading_rad)
 
     def get_state(self, rows: Rows | None = None) -> CrawlState:
         """Return the state of robots as new arrays, from which their motion can be repeated exactly."""
@@ -248,12 +250,12 @@ class Crawl:
         """Return the arrays of `CrawlState` for all rows, without the simulation."""
         return self.failure, self._start_m, self._direction, self._measured, self._borne_s
 
-    def _start(self, index: Rows, heading_rad: float) -> None:
+    def _start(self, index: Rows, goal_rad: float) -> None:
         self.failure[index] = Failure.NONE
         self._borne_s[index] = 0.0
         pose = self.simulation.pose(index)
         self._start_m[index] = pose.com_m[:, :2]
-        self._direction[index] = np.cos(heading_rad), np.sin(heading_rad)
+        self._direction[index] = np.cos(goal_rad), np.sin(goal_rad)
         self._measured[index] = self._measure(index, pose)
 
     def run(

@@ -76,6 +76,7 @@ class CaterpillarVectorEnv(
         ctrl_cost_weight: float = 0.0,
         failure_cost: float = 5.0,
         reset_noise_scale: float = 0.0,
+        goal_heading_rad: float = 0.0,
         randomization: Randomization | Mapping[str, Any] | None = None,
         faults: Faults | Mapping[str, Any] | int | None = None,
         terminate_on_failure: bool = True,

@@ -250,6 +250,25 @@ def test_noise_moves_joints_by_its_scale():
     assert 1e-4 < max(axials) <= 5e-4  # 1 cm per unit of noise
 
 
+def test_distance_and_heading_refer_to_the_goal_heading():
+    goal_rad, actions = 0.5, np.random.default_rng(0).uniform(-1, 1, (2, 24))
+    settings = {"symmetric": False, "gait_period_s": 1.0}
+    straight, turning = CaterpillarEnv(**settings), CaterpillarEnv(goal_heading_rad=goal_rad, **settings)
+    seen, heading = turning.reset()[0], straight.observation_names.index("heading:cos")
+    straight.reset()
+    np.testing.assert_allclose(seen[heading : heading + 2], [math.cos(0.5), -math.sin(0.5)], rtol=1e-6)
+    for action in actions:
+        straight.step(action)
+        _, reward, _, _, info = turning.step(action)
+    along, other = straight.crawl.progress(), turning.crawl.progress()
+    assert abs(along.lateral_m[0]) > 1e-4
+    cosine, sine = math.cos(goal_rad), math.sin(goal_rad)
+    assert info["distance"] == pytest.approx(cosine * along.distance_m[0] + sine * along.lateral_m[0])
+    assert other.lateral_m == pytest.approx(cosine * along.lateral_m - sine * along.distance_m)
+    assert other.heading_rad == pytest.approx(along.heading_rad - goal_rad)
+    assert reward == pytest.approx(info["reward_forward"])
+
+
 def test_new_body_persists_until_replaced():
     env = timing_env()
     env.reset(options={"morphology": SMALL.to_dict()})
@@ -342,6 +361,7 @@ def test_unknown_option_error_lists_the_known_options():
         ({"failure_cost": -1.0}, "failure_cost = -1.0 must be a finite number from 0"),
         ({"ctrl_cost_weight": math.nan}, "ctrl_cost_weight = nan must be a finite number"),
         ({"reset_noise_scale": math.inf}, "reset_noise_scale = inf must be a finite number"),
+        ({"goal_heading_rad": 0.8}, "goal_heading_rad = 0.8 must be a finite number from -0.7 to 0.7"),
         ({"gait_period_s": 0.25}, "gait_period_s of 0.25 s must be a whole multiple of 0.1"),
         ({"episode_s": 0.0}, "episode_s of 0 s must be a whole multiple"),
         ({"physics": {"legs": 6}}, "physics has no legs"),

@@ -127,8 +127,8 @@ def test_names_of_arms_stay_in_their_folder(name):
     [
         "morphology", "physics", "world", "action_mode", "symmetric", "gait_period_s", "action_repeat",
         "episode_s", "forward_reward_weight", "ctrl_cost_weight", "failure_cost", "reset_noise_scale",
-        "randomization", "faults", "terminate_on_failure", "render_mode", "width", "height",
-        "camera_name",
+        "goal_heading_rad", "randomization", "faults", "terminate_on_failure", "render_mode", "width",
+        "height", "camera_name",
         "num_envs", "max_episode_steps", "threads", "autoreset_mode",
     ],
 )  # fmt: skip
