@@ -12,11 +12,12 @@ import polars
 
 from baselines.config import TrainConfig, make_configuration
 from baselines.policy import TrainedRobot
-from baselines.training import train
+from baselines.training import resume, train
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S
 from evolution.run.evaluators import Evaluator
 from evolution.run.history import History
+from evolution.run.journal import FILE
 from evolution.study.arms import merge
 
 
@@ -24,7 +25,7 @@ from evolution.study.arms import merge
 class TrainArm:
     """An arm that trains a policy. It implements `evolution.study.arms.Arm`.
 
-    An interrupted training run is repeated from the start and gives the same result.
+    An interrupted training run is resumed.
     """
 
     config: TrainConfig
@@ -47,8 +48,13 @@ class TrainArm:
 
     def run(self, folder: Path, seed: int, budget_s: float, evaluator: Evaluator) -> bool:
         """Train on one thread, without the evaluator; return whether the training finished."""
+        config = self._configure(seed, budget_s)
+        if (folder / FILE).exists():
+            history = History.read(folder)
+            if self.matches(history, seed, budget_s) and history.generations:
+                return resume(folder, threads=1).history.finished
         shutil.rmtree(folder, ignore_errors=True)
-        return train(self._configure(seed, budget_s), folder, threads=1).history.finished
+        return train(config, folder, threads=1).history.finished
 
     def matches(self, history: History, seed: int, budget_s: float) -> bool:
         """Return whether a recorded run has the settings and hyperparameters of this arm."""

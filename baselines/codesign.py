@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
 from baselines.config import POPULATION, TrainConfig
@@ -46,6 +48,30 @@ class CoDesign(BaseCallback):
         self._genomes = np.empty((0, len(NAMES)))
         self._first_m: list[float | None] = []  # distance of each robot's first episode, until frozen
         self._frozen = False
+        self._told: list[Array] = []  # the fitness of all bodies so far, by generation
+
+    def state(self) -> dict[str, Any]:
+        """Return what `restore` needs, between two rollouts."""
+        first_m = [np.nan if m is None else m for m in self._first_m]
+        told = [torch.from_numpy(fitness) for fitness in self._told]
+        return {
+            "told": told,
+            "first_m": torch.tensor(first_m, dtype=torch.float64),
+            "frozen": self._frozen,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a state. CMA-ES is replayed."""
+        for fitness in state["told"]:
+            self._tell(self.optimizer.ask(), fitness.numpy())
+        self._first_m = [None if math.isnan(m) else m for m in state["first_m"].tolist()]
+        if self._first_m:
+            self._genomes = self.optimizer.ask()
+        self._frozen = state["frozen"]
+
+    def _tell(self, genomes: Array, fitness: Array) -> None:
+        self.optimizer.tell(genomes, fitness)
+        self._told.append(fitness)
 
     @property
     def mean_genome(self) -> Array:
@@ -67,7 +93,7 @@ class CoDesign(BaseCallback):
             )
         if self._first_m:
             first_m = np.maximum(np.array(self._first_m, dtype=float), 0.0)
-            self.optimizer.tell(self._genomes, first_m.reshape(POPULATION, -1).mean(axis=1))
+            self._tell(self._genomes, first_m.reshape(POPULATION, -1).mean(axis=1))
             self._first_m = []
         if self._frozen:
             return

@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 import yaml
 
+from baselines.interface import GaitPrior, Mode
 from caterpillar_env.errors import CaterpillarError, check_fields, from_mapping
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
@@ -18,10 +19,11 @@ from caterpillar_env.task import EPISODE_S
 from evolution.run.history import History
 from evolution.run.journal import Evaluation
 
-AlgorithmName = Literal["ppo", "a2c", "sac", "tqc", "ars"]
-Mode = Literal["timing", "switch"]
+AlgorithmName = Literal["ppo", "td3"]
 Design = Literal["fixed", "uniform", "body"]
-ENVIRONMENTS: dict[str, str] = {"timing": "CaterpillarSMA-v0", "switch": "CaterpillarSMASwitch-v0"}
+ENVIRONMENTS: dict[Mode, str] = {
+    "timing": "CaterpillarSMA-v0", "phase": "CaterpillarSMA-v0", "switch": "CaterpillarSMASwitch-v0",
+}  # fmt: skip
 POPULATION = 8  #: number of bodies that CMA-ES proposes per generation
 ROBOTS_PER_BODY = 2  #: number of robots that crawl in each of these bodies
 HYPERPARAMETERS = Path(__file__).with_name("hyperparams")
@@ -36,9 +38,13 @@ class TrainConfig:
         CaterpillarError: a value is out of range, or two settings exclude each other.
     """
 
-    algorithm: AlgorithmName = "ppo"  #: learning algorithm of stable-baselines3 or sb3-contrib
-    mode: Mode = "switch"  #: timing: a step is a gait period; switch: a step is a multiple of 0.1 s
-    open_loop: bool = False  #: choose one action per episode (a bandit); timing mode only
+    algorithm: AlgorithmName = "ppo"  #: learning algorithm of stable-baselines3
+    #: Actions. phase: delays and duties, per period; timing: on and off times; switch: every 0.5 s
+    mode: Mode = "phase"
+    prior: GaitPrior = (
+        "gait"  #: gait: learn changes of the prior's best wave; uniform: learn from scratch
+    )
+    open_loop: bool = False  #: choose one action per episode (a bandit); not in switch mode
     design: Design = "fixed"  #: fixed: one body; otherwise the prior from which CMA-ES evolves the body
     seed: int = 0  #: seed of the training run; --mismatch-seed sets the spring strengths
     budget_s: float = 30_000.0  #: simulated seconds of training and evaluation
@@ -55,8 +61,8 @@ class TrainConfig:
             raise CaterpillarError(
                 f"budget_s = {self.budget_s:g} must be at least {EPISODE_S:g}, the length of one episode"
             )
-        if self.open_loop and self.mode != "timing":
-            raise CaterpillarError(f"open_loop requires mode timing; got mode {self.mode}")
+        if self.open_loop and self.mode == "switch":
+            raise CaterpillarError("open_loop requires mode phase or timing; got mode switch")
         if self.design != "fixed" and (self.algorithm != "ppo" or self.open_loop):
             raise CaterpillarError(
                 f"design = {self.design!r} requires algorithm ppo without open_loop; choose these, or "
@@ -99,6 +105,8 @@ class TrainConfig:
     def title(self) -> str:
         """Short description of the training run."""
         words: list[str] = [self.algorithm, self.mode]
+        if self.prior == "uniform":
+            words.append("without prior")
         if self.open_loop:
             words.append("bandit")
         if self.design != "fixed":
@@ -111,7 +119,8 @@ class TrainConfig:
 
     def env_kwargs(self) -> dict[str, Any]:
         """Return the environment arguments that training and evaluation share."""
-        return {"physics": self.physics, **hyperparameters(self).env_kwargs}
+        settings = {"physics": self.physics, "action_mode": self.mode}
+        return settings | hyperparameters(self).env_kwargs
 
 
 class Hyperparameters(NamedTuple):
@@ -119,7 +128,7 @@ class Hyperparameters(NamedTuple):
 
     n_envs: int  #: number of parallel robots
     env_kwargs: dict[str, Any]  #: arguments of the environment
-    normalize: dict[str, Any] | None  #: arguments of VecNormalize, or None for no normalization
+    interface: dict[str, Any]  #: arguments of `Interface`
     callback: list[Any]  #: mappings from the class path of a callback to its arguments
     model: dict[str, Any]  #: arguments of the algorithm
 
@@ -141,7 +150,8 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
     model.pop("n_timesteps")  # only rl_zoo3 uses it; here the budget ends the training
     n_envs = model.pop("n_envs", 1)
     env_kwargs = model.pop("env_kwargs", {})
-    normalize = model.pop("normalize", False)
+    ((_, interface),) = model.pop("vec_env_wrapper")[0].items()
+    interface |= {"mode": config.mode, "prior": config.prior}
     callback = model.pop("callback", [])
     if config.design != "fixed":
         n_envs = POPULATION * ROBOTS_PER_BODY
@@ -155,8 +165,7 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
             model["batch_size"] = min(model["batch_size"], model["n_steps"] * n_envs)
         if "gamma" in model:
             model["gamma"] = 0.0  # an episode is a single step
-    arguments = {"gamma": model.get("gamma", 0.99)} if normalize else None
-    return Hyperparameters(n_envs, env_kwargs, arguments, callback, model)
+    return Hyperparameters(n_envs, env_kwargs, interface, callback, model)
 
 
 def make_configuration(config: TrainConfig) -> dict[str, Any]:
@@ -175,8 +184,7 @@ def is_evaluated_as_recorded(configuration: Mapping[str, Any], config: TrainConf
     def select(learning: Any) -> Any:
         model = learning["model"]
         return (
-            learning["env_kwargs"], learning["normalize"] is None, model["policy"],
-            model.get("policy_kwargs"),
+            learning["env_kwargs"], learning["interface"], model["policy"], model.get("policy_kwargs"),
         )  # fmt: skip
 
     try:

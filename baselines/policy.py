@@ -13,12 +13,13 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
-from sb3_contrib import ARS, TQC
-from stable_baselines3 import A2C, PPO, SAC
+from stable_baselines3 import PPO, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.vec_env import VecMonitor, unwrap_vec_wrapper
 
 from baselines.config import TrainConfig, Training, hyperparameters, is_evaluated_as_recorded
+from baselines.interface import Interface
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.errors import CaterpillarError
@@ -28,9 +29,7 @@ from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import OnInterval
 
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
-    "ppo": PPO, "a2c": A2C, "sac": SAC, "tqc": TQC, "ars": ARS,
-}  # fmt: skip
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "td3": TD3}
 Which = Literal["best", "last"]
 _LARGEST_WEIGHT = 1e9  # so that actions are finite
 _LARGEST_HEADER = 10_000  # of an array in a file, bytes; NumPy refuses larger ones too
@@ -39,7 +38,7 @@ _LARGEST_HEADER = 10_000  # of an array in a file, bytes; NumPy refuses larger o
 def make_env(config: TrainConfig, **kwargs: Any) -> CaterpillarEnv:
     """Make the evaluation environment, with one robot and no randomization."""
     settings = config.env_kwargs() | kwargs
-    return CaterpillarEnv(config.morphology, action_mode=config.mode, **settings)
+    return CaterpillarEnv(config.morphology, **settings)
 
 
 def make_training_env(config: TrainConfig, threads: int = 0) -> CaterpillarVecEnv:
@@ -51,18 +50,14 @@ def make_training_env(config: TrainConfig, threads: int = 0) -> CaterpillarVecEn
 
 
 def make_model(config: TrainConfig, robots: CaterpillarVecEnv) -> BaseAlgorithm:
-    """Make the algorithm with an untrained policy, wrap its environment, and seed both."""
+    """Make the algorithm with an untrained policy, and wrap its environment."""
     learning = hyperparameters(config)
-    env: Any = VecMonitor(robots)
-    if learning.normalize is not None:
-        env = VecNormalize(env, **learning.normalize)
-    model = ALGORITHMS[config.algorithm](
-        env=env, seed=config.seed, device="cpu", verbose=0, **learning.model
-    )
-    # By default row i gets seed + i, so training runs with adjacent seeds would share rows.
-    seeds = np.random.SeedSequence(config.seed).generate_state(robots.num_envs)
-    robots.seed_rows(seeds.tolist())
-    return model
+    env = VecMonitor(Interface(robots, physics=config.physics, **learning.interface))
+    arguments = dict(learning.model)
+    if arguments.pop("noise_type", None):
+        deviation = np.full(env.action_space.shape or (), arguments.pop("noise_std"))
+        arguments["action_noise"] = NormalActionNoise(np.zeros_like(deviation), deviation)
+    return ALGORITHMS[config.algorithm](env=env, seed=config.seed, device="cpu", verbose=0, **arguments)
 
 
 class RandomActor:
@@ -79,15 +74,16 @@ class RandomActor:
 
 @dataclass(frozen=True)
 class Policy:
-    """A policy and the observation normalization that it was trained with."""
+    """A policy and its interface to the robots. Without an interface, it acts on them directly."""
 
     actor: BaseAlgorithm | RandomActor
-    normalizer: VecNormalize | None
+    interface: Interface | None
 
     @classmethod
     def of(cls, model: BaseAlgorithm) -> Policy:
         """Return the policy of an algorithm, which changes as the algorithm learns."""
-        return cls(model, model.get_vec_normalize_env())
+        env = model.get_env()
+        return cls(model, None if env is None else unwrap_vec_wrapper(env, Interface))
 
     @classmethod
     def load(cls, path: Path, config: TrainConfig) -> Policy:
@@ -107,17 +103,13 @@ class Policy:
             raise CaterpillarError(
                 f"cannot read the policy {path}: {why}; restore a copy of it, or train it again"
             ) from None
-        normalizer, model = policy.normalizer, policy.actor
-        if normalizer is not None:
-            statistics: Any = normalizer.obs_rms
-            statistics.mean, statistics.var = (arrays.pop(f"observation_{n}") for n in ("mean", "var"))
-            normalizer.training = False
-        assert isinstance(model, BaseAlgorithm)
-        model.policy.load_state_dict({name: torch.from_numpy(a) for name, a in arrays.items()})
+        assert isinstance(policy.actor, BaseAlgorithm)
+        weights = {name: torch.from_numpy(array) for name, array in arrays.items()}
+        policy.actor.policy.load_state_dict(weights)
         return policy
 
     def save(self, path: Path) -> None:
-        """Write the weights and the normalization of observations as arrays to a .npz file.
+        """Write the weights as arrays to a .npz file.
 
         Raises:
             CaterpillarError: the file cannot be written.
@@ -127,19 +119,16 @@ class Policy:
         write_bytes(path, content.getvalue(), COPY)
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the content of a file: the weights by name, and mean and variance of observations."""
+        """Return the content of a file: the weights by name."""
         assert isinstance(self.actor, BaseAlgorithm)
-        arrays = {name: weight.numpy() for name, weight in self.actor.policy.state_dict().items()}
-        if self.normalizer is not None:
-            statistics: Any = self.normalizer.obs_rms
-            arrays |= {"observation_mean": statistics.mean, "observation_var": statistics.var}
-        return arrays
+        return {name: weight.numpy() for name, weight in self.actor.policy.state_dict().items()}
 
     def act(self, observations: Any) -> NDArray[Any]:
         """Return the most likely actions for observations (R, n) of the environment."""
-        if self.normalizer is not None:
-            observations = self.normalizer.normalize_obs(observations)
-        return self.actor.predict(observations, deterministic=True)[0]
+        if self.interface is None:
+            return self.actor.predict(observations, deterministic=True)[0]
+        seen = self.interface.observe(observations)
+        return self.interface.act(self.actor.predict(seen, deterministic=True)[0], observations)
 
     def crawl(
         self,
@@ -184,11 +173,8 @@ def _read_arrays(path: Path, expected: Mapping[str, NDArray[Any]]) -> dict[str, 
                 f"{name} must be {expected[name].dtype} of shape {expected[name].shape}; got "
                 f"{array.dtype} of shape {array.shape}"
             )
-        largest = np.inf if name.startswith("observation_") else _LARGEST_WEIGHT
-        if not np.isfinite(array).all() or np.abs(array).max(initial=0.0) > largest:
+        if not np.isfinite(array).all() or np.abs(array).max(initial=0.0) > _LARGEST_WEIGHT:
             raise CaterpillarError(f"{name} has values that are not finite or are too large")
-    if (arrays.get("observation_var", np.zeros(1)) < 0).any():
-        raise CaterpillarError("observation_var has negative values")
     return arrays
 
 

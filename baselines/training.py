@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
+from baselines import checkpoint
 from baselines.codesign import CoDesign
 from baselines.config import TrainConfig, Training, hyperparameters, make_configuration
 from baselines.policy import Policy, make_env, make_model, make_training_env
@@ -21,7 +23,9 @@ from caterpillar_env.task import EPISODE_S
 from evolution.run.history import History
 from evolution.run.journal import Journal
 
-_PACKAGES = ("stable-baselines3", "sb3-contrib", "torch", "gymnasium")
+_PACKAGES = ("stable-baselines3", "torch", "gymnasium")
+OnEvaluation = Callable[[History], None]
+OnProgress = Callable[[float], None]
 
 
 class _BudgetSpent(Exception):  # noqa: N818  it signals a normal end
@@ -32,16 +36,16 @@ def train(
     config: TrainConfig,
     folder: Path,
     *,
-    on_evaluation: Callable[[History], None] | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_evaluation: OnEvaluation | None = None,
+    on_progress: OnProgress | None = None,
     threads: int = 0,
 ) -> Training:
     """Train a policy and record the training run in a new folder.
 
-    The folder gets a journal, the last policy (`last.npz`), and the best policy (`best.npz`), which
-    belongs to `History.best`. A KeyboardInterrupt ends the training and keeps these files. Training
-    cannot be resumed. PyTorch runs on one thread and all global generators are seeded, so a repeated
-    training run gives identical results.
+    The folder gets a journal, the last policy (`last.npz`), the best policy (`best.npz`), which belongs
+    to `History.best`, and a checkpoint. A KeyboardInterrupt ends the training; `resume` continues it.
+    PyTorch runs on one thread and all global generators are seeded, so a repeated or resumed training
+    run gives identical results.
 
     Args:
         config: configuration of the training run.
@@ -54,32 +58,79 @@ def train(
         CaterpillarError: the folder is not empty or cannot be written, or the budget is too small.
     """
     robots = make_training_env(config, threads)
-    reserve_s = _check_budget(config, robots)
-    make_folder(folder, "; training cannot be resumed")
+    _check_budget(config, robots)
+    make_folder(folder, "; to continue a training run, use `caterpillar rl resume`")
+    with Journal.create(folder, make_configuration(config)) as journal:
+        history = History(journal)
+        _run(_Recorder(config, robots, history, on_evaluation, on_progress))
+    return Training(config, history)
+
+
+def resume(
+    folder: Path,
+    *,
+    on_evaluation: OnEvaluation | None = None,
+    on_progress: OnProgress | None = None,
+    threads: int = 0,
+) -> Training:
+    """Continue a training run from its last evaluation, with the result of one that was not stopped.
+
+    Args:
+        folder: folder of the training run. A finished one is returned as it is.
+        on_evaluation: see `train`.
+        on_progress: see `train`.
+        threads: see `train`.
+
+    Raises:
+        CaterpillarError: the folder has no training run or no intact checkpoint, or the hyperparameters
+            have changed.
+    """
+    recorded = Training.read(folder)
+    config, known = recorded
+    if known.finished:
+        return recorded
+    if known.configuration != make_configuration(config):
+        raise CaterpillarError(
+            f"{folder} was trained with other hyperparameters than those in baselines/hyperparams; use "
+            "the version of this package that began it, or train again in another folder"
+        )
+    with Journal(folder) as journal:
+        history = History(journal)
+        for _ in known.generations:
+            history.complete(replayed=True)
+        robots = make_training_env(config, threads)
+        _run(_Recorder(config, robots, history, on_evaluation, on_progress))
+    return Training(config, history)
+
+
+def _run(recorder: _Recorder) -> None:
+    """Train until the budget is spent or the user interrupts."""
+    config, robots, history = recorder.config, recorder.robots, recorder.history
     torch_threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        with Journal.create(folder, make_configuration(config)) as journal:
-            history = History(journal)
-            history.begin(_PACKAGES)
-            recorder = _Recorder(config, robots, history, reserve_s, on_evaluation, on_progress)
-            callbacks = [*map(_make_callback, hyperparameters(config).callback), recorder]
-            if recorder.designs is not None:
-                callbacks.insert(0, recorder.designs)
-            model = make_model(config, robots)
-            try:
-                while True:  # robots that fail use fewer seconds than their steps would
-                    steps = max(int((config.budget_s - recorder.spent_s) / robots.vector_env.step_s), 1)
-                    model.learn(steps, callback=callbacks, reset_num_timesteps=not model.num_timesteps)
-            except _BudgetSpent:
-                recorder.evaluate()
-                history.finish()
+        history.begin(_PACKAGES)
+        if recorder.is_over():
+            history.finish()
+            return
+        callbacks = [recorder, *map(_make_callback, hyperparameters(config).callback)]
+        if recorder.designs is not None:
+            callbacks.append(recorder.designs)
+        model = make_model(config, robots)
+        if history.generations:
+            recorder.restore(model)
+        try:
+            while True:  # robots that fail use fewer seconds than their steps would
+                steps = max(int((config.budget_s - recorder.spent_s) / robots.vector_env.step_s), 1)
+                model.learn(steps, callback=callbacks, reset_num_timesteps=not model.num_timesteps)
+        except _BudgetSpent:
+            recorder.evaluate(last=True)
+            history.finish()
     except KeyboardInterrupt:
         pass
     finally:
         torch.set_num_threads(torch_threads)
         robots.close()
-    return Training(config, history)
 
 
 def _check_budget(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
@@ -110,49 +161,98 @@ class _Recorder(BaseCallback):
         config: TrainConfig,
         robots: CaterpillarVecEnv,
         history: History,
-        reserve_s: float,
-        on_evaluation: Callable[[History], None] | None,
-        on_progress: Callable[[float], None] | None,
+        on_evaluation: OnEvaluation | None,
+        on_progress: OnProgress | None,
     ) -> None:
         super().__init__()
-        self._config, self._robots, self._history = config, robots, history
-        self._reserve_s, self._on_evaluation, self._on_progress = reserve_s, on_evaluation, on_progress
+        self.config, self.robots, self.history = config, robots, history
+        self._on_evaluation, self._on_progress = on_evaluation, on_progress
+        self._reserve_s = _check_budget(config, robots)
         self._env = make_env(config)
-        self._next_s = 0.0  # when the next evaluation is due
+        self._counted_s = 0.0  # simulated in this session until the last evaluation
+        self._restored = False
         self.designs: CoDesign | None = None
         if config.design != "fixed":
             self.designs = CoDesign(config, robots, lambda: self.spent_s / config.budget_s)
 
     @property
     def spent_s(self) -> float:
-        """Simulated seconds of training and evaluation so far."""
-        crawls = self._robots.vector_env.crawl, self._env.crawl
-        return sum(crawl.simulation.simulated_s for crawl in crawls)
+        """Simulated seconds of training and evaluation so far, also in earlier sessions."""
+        return self.history.simulated_s + self._since_s()
+
+    def is_over(self) -> bool:
+        """Return whether a stopped training run has made its last evaluation, without a checkpoint."""
+        history = self.history
+        last = checkpoint.path_of(history.folder, len(history.generations) - 1)
+        return self._is_spent() and not last.exists()
+
+    def _is_spent(self) -> bool:
+        return self.spent_s + self._reserve_s > self.config.budget_s
+
+    def _since_s(self) -> float:
+        """Return the simulated seconds since the last evaluation, rounded so that resuming is exact."""
+        crawls = self.robots.vector_env.crawl, self._env.crawl
+        return round(sum(crawl.simulation.simulated_s for crawl in crawls) - self._counted_s, 6)
+
+    def restore(self, model: BaseAlgorithm) -> None:
+        """Restore a new algorithm and the co-design from the checkpoint after the last evaluation."""
+        more = checkpoint.load(self.history.folder, len(self.history.generations) - 1, model)
+        if self.designs is not None:
+            self.designs.restore(more)
+        self._save(Policy.of(model))  # the process may have been killed before this
+        self._restored = True
+
+    def _on_rollout_start(self) -> None:
+        due = self._since_s() >= self.config.budget_s / self.config.evaluations
+        if due or not self.history.generations:
+            self.evaluate()
+        elif not self._restored:
+            return
+        self._restored = False
+        # The rest of the run depends on the checkpoint and on the number of the evaluation only.
+        model: Any = self.model
+        seeds = np.random.SeedSequence([self.config.seed, len(self.history.generations)])
+        seed, *row_seeds = seeds.generate_state(1 + self.robots.num_envs).tolist()
+        model.set_random_seed(seed)
+        self.robots.seed_rows(row_seeds)  # by default row i gets seed + i, and seeds share rows
+        model._last_obs = self.training_env.reset()
+        model._last_episode_starts = np.ones(self.robots.num_envs, dtype=bool)
 
     def _on_step(self) -> bool:
         if self._on_progress is not None:
             self._on_progress(self.spent_s)
-        if self.spent_s + self._reserve_s > self._config.budget_s:
+        if self._is_spent():
             raise _BudgetSpent
-        if self.spent_s >= self._next_s:
-            self._next_s = self.spent_s + self._config.budget_s / self._config.evaluations
-            self.evaluate()
         return True
 
-    def evaluate(self) -> None:
-        """Run one episode of the deterministic policy, record it, and save the policy."""
-        body, genome = self._config.morphology, self._config.morphology.to_unit()
+    def evaluate(self, *, last: bool = False) -> None:
+        """Run one episode of the deterministic policy, and record it with the policy.
+
+        Args:
+            last: whether the training ends, so that no checkpoint is needed.
+        """
+        config, history = self.config, self.history
+        body, genome = config.morphology, config.morphology.to_unit()
         if self.designs is not None:
             body, genome = self.designs.mean_body, self.designs.mean_genome
-        policy = Policy.of(self.model)
-        outcome = policy.crawl(self._env, self._config.seed, body)
-        history = self._history
-        since_s = np.array([self.spent_s - history.simulated_s])
-        history.append(genome[None], outcome._replace(simulated_s=since_s))
+        number, policy = len(history.generations), Policy.of(self.model)
+        outcome = policy.crawl(self._env, config.seed, body)
+        since_s = self._since_s()
+        self._counted_s += since_s
+        if not last:
+            more = {} if self.designs is None else self.designs.state()
+            checkpoint.save(history.folder, number, self.model, more)
+        if not history.replay(genome[None]):  # it is known if the process was killed after recording it
+            history.append(genome[None], outcome._replace(simulated_s=np.array([since_s])))
         history.complete()
-        latest = history.evaluations[-1]
-        policy.save(history.folder / "last.npz")
-        if history.best is latest:
-            policy.save(history.folder / "best.npz")
+        self._save(policy)
+        checkpoint.remove(history.folder, keep=None if last else number)
         if self._on_evaluation is not None:
             self._on_evaluation(history)
+
+    def _save(self, policy: Policy) -> None:
+        """Write the policy of the last evaluation, also as the best one if it is."""
+        history = self.history
+        policy.save(history.folder / "last.npz")
+        if history.best is history.evaluations[-1]:
+            policy.save(history.folder / "best.npz")

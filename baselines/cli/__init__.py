@@ -12,13 +12,13 @@ from evolution import cli
 
 def rl_command(argv: Sequence[str]) -> int:
     """Train policies by reinforcement learning, evaluate them, and compare training runs."""
-    commands = {name: partial(_load, name) for name in ("train", "eval", "compare")}
+    commands = {name: partial(_load, name) for name in ("train", "resume", "eval", "compare")}
     return cli.dispatch(commands, argv, "caterpillar rl")
 
 
 def _load(name: str) -> Callable[[Sequence[str]], int]:
     try:
-        import sb3_contrib  # noqa: F401
+        import stable_baselines3  # noqa: F401
         import yaml  # noqa: F401
     except ImportError:
         raise CaterpillarError(

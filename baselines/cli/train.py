@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import shlex
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
-from baselines.config import TrainConfig
+from baselines.config import TrainConfig, Training
 from baselines.policy import TrainedRobot
 from baselines.training import train
 from caterpillar_env.drawing.video import Recording
@@ -56,35 +58,41 @@ def train_command(argv: Sequence[str]) -> int:
         config = replace(config, morphology=body)
     name = config.title.replace(" ", "-")
     folder = args.out or unused(Path("runs"), f"{name}-seed{config.seed}")
+    return follow(partial(train, config, folder, threads=args.threads), config, args.video)
+
+
+def follow(run: Callable[..., Training], config: TrainConfig, video: bool) -> int:
+    """Run `train` or `resume` with a progress bar, film the best robot, and return the exit status."""
     console = cli.console()
     with cli.bar(console) as bar:
         task = bar.add_task("training", total=config.budget_s)
+        began_s: list[float] = []  # simulated before this session
 
         def show(history: History) -> None:
             latest, best = history.evaluations[-1], history.best
+            began_s.append(history.simulated_s - latest.simulated_s)
             best_text = "none yet" if best is None else f"{1000 * best.distance_m:.1f} mm"
-            share, elapsed_s = history.simulated_s / config.budget_s, bar.tasks[0].elapsed or 0.0
-            left = "" if console.is_terminal else f", left {elapsed_s * (1 / share - 1) / 60:.0f} min"
+            done_s, elapsed_s = history.simulated_s - began_s[0], bar.tasks[0].elapsed or 0.0
+            left_s = elapsed_s * (config.budget_s - history.simulated_s) / done_s
+            left = "" if console.is_terminal else f", left {max(left_s, 0.0) / 60:.0f} min"
             bar.update(task, description=f"training, best {best_text}")
             console.print(
-                f"{100 * share:3.0f} %{left}  simulated {history.simulated_s:,.0f} s  deterministic "
-                f"policy: {1000 * latest.distance_m:.1f} mm ({latest.failure.label}), best {best_text}"
+                f"{100 * history.simulated_s / config.budget_s:3.0f} %{left}  simulated "
+                f"{history.simulated_s:,.0f} s  deterministic policy: {1000 * latest.distance_m:.1f} mm "
+                f"({latest.failure.label}), best {best_text}"
             )
 
-        history = train(
-            config,
-            folder,
-            on_evaluation=show,
-            on_progress=lambda spent_s: bar.update(task, completed=spent_s),
-            threads=args.threads,
+        history = run(
+            on_evaluation=show, on_progress=lambda spent_s: bar.update(task, completed=spent_s)
         ).history
+    folder = history.folder
     if not history.finished:
-        console.print(f"stopped; {folder} contains the policies so far")
+        console.print(f"stopped; continue with: caterpillar rl resume {shlex.quote(str(folder))}")
         return 130
     if history.best is None:
         print(f"no policy crawled forwards without failing, in {folder}")
         return 0
-    if args.video:
+    if video:
         film(Recording(TrainedRobot.load(folder)), folder / "best.mp4", console)
     print(f"best: {1000 * history.best.distance_m:.1f} mm in 30 s, in {folder}")
     return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import tyro
 
@@ -18,6 +18,8 @@ from evolution.study.cells import Processes, RayTasks, run_study
 from evolution.study.config import begin, preset, read_toml
 from evolution.study.results import collect
 
+Preset = Literal["paper", "ablation", "search", "conjecture", "rl", "worlds", "pilot"]
+
 
 @dataclass(frozen=True)
 class StudyArgs:
@@ -25,9 +27,7 @@ class StudyArgs:
 
     file: Annotated[Path | None, tyro.conf.Positional] = None
     """TOML file with the settings of the study (see docs/study.md)."""
-    preset: (
-        Literal["paper", "ablation", "search", "conjecture", "worlds", "pilot", "rl-pilot"] | None
-    ) = None
+    preset: Preset | None = None
     """Use a study of this package instead of a file."""
     out: Path | None = None
     """Study folder to create or continue; by default, studies/NAME for a file or preset of that name."""
@@ -41,8 +41,8 @@ class StudyArgs:
     def __post_init__(self) -> None:
         if (self.file is None) == (self.preset is None):
             raise CaterpillarError(
-                "give either a TOML file or --preset paper, ablation, search, conjecture, worlds, pilot "
-                f"or rl-pilot; got {'neither' if self.file is None else 'both'}"
+                f"give either a TOML file or --preset {', '.join(get_args(Preset))}; got "
+                f"{'neither' if self.file is None else 'both'}"
             )
         if self.processes < 0:
             raise CaterpillarError(f"processes = {self.processes} must not be negative")

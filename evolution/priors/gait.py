@@ -17,6 +17,7 @@ from caterpillar_env.gait import MAX_DUTY, PAIRS_PER_GAP, SPRINGS_PER_GAP, GaitT
 from caterpillar_env.morphology import Body, Morphology
 from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.sma import SmaSpring, settle
+from caterpillar_env.worlds import Flat
 from evolution.genome import Encoding
 from evolution.priors.preprocessor import DesignParameter
 from evolution.priors.statics import PlanarChain
@@ -28,9 +29,13 @@ _SEGMENTS = 4  #: number of segments of the robot in K_5
 def gait_parameters(physics: Physics, gait_period_s: float) -> tuple[DesignParameter, ...]:
     """Return K_4 and K_5.
 
-    K_5 is that of the nominal body with four segments and equal springs, whatever the robot of the run.
+    K_5 is that of the nominal body with four segments and equal springs on flat ground, whatever the
+    robot and the world of the run.
     """
-    chain = replace(physics, num_segments=_SEGMENTS, spring_strengths=None, mismatch_seed=0)
+    chain = replace(
+        physics, num_segments=_SEGMENTS, spring_strengths=None, mismatch_seed=0,
+        timestep_s=Physics.timestep_s, world=Flat(),
+    )  # fmt: skip
     return _make_parameters(chain, gait_period_s)
 
 

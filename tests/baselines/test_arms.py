@@ -2,12 +2,14 @@
 
 import shutil
 from dataclasses import replace
+from typing import get_args
 
 import polars
 import pytest
 
 from baselines.arms import TrainArm
-from baselines.config import TrainConfig, make_configuration
+from baselines.config import AlgorithmName, Design, TrainConfig, make_configuration
+from baselines.interface import Mode
 from caterpillar_env.errors import CaterpillarError
 from evolution.run.evaluators import LocalEvaluator
 from evolution.run.history import History
@@ -55,7 +57,7 @@ def test_study_records_both_kinds_within_the_budget(finished):
     spent = results.table.group_by("arm", "seed").agg(polars.col("simulated_s").sum())
     assert set(spent["arm"]) == {"ga", "ppo"}
     ppo_s = spent.filter(polars.col("arm") == "ppo")["simulated_s"].item()
-    assert 300 - 8 * 5 - 2 * 30 - 5 < ppo_s <= 300
+    assert 300 - 16 * 5 - 2 * 30 - 5 < ppo_s <= 300
 
 
 @pytest.mark.slow
@@ -66,7 +68,7 @@ def test_report_describes_both_arms(finished):
 
 
 @pytest.mark.slow
-def test_run_repeats_an_interrupted_training(finished, tmp_path):
+def test_run_resumes_an_interrupted_training(finished, tmp_path):
     arm, run = load(finished).arms["ppo"], tmp_path / "cell"
     shutil.copytree(Cell("ppo", 0).folder(finished), run)
     with Journal(run) as journal:
@@ -122,7 +124,10 @@ def test_other_gait_period_is_rejected():
         ({"kind": "magic"}, "arms.x: kind = 'magic' must be one of evolution, rl"),
         ({"kind": "rl", "luck": 1}, "arms.x: a training run has no luck"),
         ({"kind": "rl", "seed": 1}, "seed"),
-        ({"kind": "rl", "algorithm": "sac"}, "arms.x: sac does not support mode 'switch'"),
+        (
+            {"kind": "rl", "algorithm": "td3", "mode": "switch"},
+            "arms.x: td3 does not support mode 'switch'",
+        ),
     ],
     ids=str,
 )
@@ -136,9 +141,12 @@ def test_invalid_arm_is_rejected(arm, message):
 
 
 def test_preset_covers_all_algorithms_and_designs():
-    arms = preset("rl-pilot").arms
+    arms = preset("rl").arms
     trainings = {name: arm.config for name, arm in arms.items() if isinstance(arm, TrainArm)}
-    assert {c.algorithm for c in trainings.values()} == {"ppo", "a2c", "sac", "tqc", "ars"}
-    assert {c.design for c in trainings.values()} == {"fixed", "uniform", "body"}
-    assert trainings["ppo-bandit"] == replace(trainings["ppo-timing"], open_loop=True)
-    assert {"ga-uniform", "ga-preprocessed", "cma-es-uniform"} <= set(arms)
+    for field, kind in (("algorithm", AlgorithmName), ("mode", Mode), ("design", Design)):
+        assert {getattr(config, field) for config in trainings.values()} == set(get_args(kind))
+    for name in ("ppo", "td3", "ppo-switch"):
+        assert trainings[f"{name}-uniform"] == replace(trainings[name], prior="uniform")
+    for name in ("ppo", "td3"):
+        assert trainings[f"{name}-bandit"] == replace(trainings[name], open_loop=True)
+    assert {"shade", "ga-uniform", "ga-body", "random"} == set(arms) - set(trainings)

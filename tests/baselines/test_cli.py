@@ -16,9 +16,10 @@ from caterpillar_env.drawing.video import VideoConfig
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure
 from evolution import cli
+from evolution.run.history import History
 
 SMALL = ["--num-segments", "2", "--timestep-s", "0.01", "--mode", "timing", "--evaluations", "2"]
-#: A training run whose best policy crawls 2 mm forwards.
+#: A training run whose best policy crawls forwards.
 FORWARDS = ["--timestep-s", "0.01", "--mode", "timing", "--seed", "1", "--budget-s", "200"]
 
 
@@ -103,9 +104,10 @@ def test_train_estimates_the_time_left(tmp_path, capsys, monkeypatch):
 
     def train(config, folder, *, on_evaluation, **others):
         now_s[0] = 600.0
-        evaluation = SimpleNamespace(distance_m=0.01, failure=Failure.NONE)
+        spent_s = config.budget_s / 4
+        evaluation = SimpleNamespace(distance_m=0.01, failure=Failure.NONE, simulated_s=spent_s)
         history = SimpleNamespace(
-            evaluations=[evaluation], best=None, simulated_s=config.budget_s / 4, finished=True
+            evaluations=[evaluation], best=None, simulated_s=spent_s, finished=True, folder=folder
         )
         on_evaluation(history)
         return SimpleNamespace(history=history)
@@ -116,6 +118,26 @@ def test_train_estimates_the_time_left(tmp_path, capsys, monkeypatch):
     )
     assert cli.main(["rl", "train", "--out", str(tmp_path / "run")]) == 0
     assert capsys.readouterr().err.startswith(" 25 %, left 30 min  simulated 7,500 s")
+
+
+def test_stopped_training_is_listed_and_resumed(tmp_path, capsys, monkeypatch):
+    folder, original = tmp_path / "a run", History.complete
+    flags = [*FORWARDS, "--evaluations", "2", "--no-video", "--out", str(folder)]
+
+    def stop(history, **kwargs):
+        original(history, **kwargs)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(History, "complete", stop)
+        assert cli.main(["rl", "train", *flags]) == 130
+    assert f"continue with: caterpillar rl resume '{folder}'" in capsys.readouterr().err
+    assert cli.main(["runs", str(tmp_path), "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert (row["state"], row["optimizer"], row["prior"]) == ("stopped", "ppo timing", "gait")
+    assert cli.main(["rl", "resume", str(folder), "--no-video"]) == 0
+    assert capsys.readouterr().out.startswith("best: ")
+    assert Training.read(folder).history.finished
 
 
 def test_train_without_a_best_policy_writes_no_video(tmp_path, capsys):
@@ -138,8 +160,9 @@ def test_compare_prints_a_table(folder, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "choose from train, eval, compare"),
-        (["teach"], "'teach'; choose from train, eval, compare"),
+        ([], "choose from train, resume, eval, compare"),
+        (["teach"], "'teach'; choose from train, resume, eval, compare"),
+        (["resume", "nowhere"], "nowhere is not a run folder"),
         (["eval", "nowhere"], "nowhere is not a run folder"),
         (["compare"], "give at least one folder"),
         (["compare", "nowhere"], "nowhere is not a run folder"),
@@ -166,6 +189,6 @@ def test_help_lists_the_commands(capsys):
 
 
 def test_missing_extra_is_reported(monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     assert cli.main(["rl", "train"]) == 1
     assert "pip install 'caterpillar-sma[rl]'" in capsys.readouterr().err

@@ -41,13 +41,13 @@ def trainings(tmp_path):
 
 def test_trainings_that_differ_only_in_the_seed_form_a_group(trainings):
     rows = summarize(trainings)
-    assert [(row["name"], row["runs"]) for row in rows] == [("ppo switch", 2), ("ppo timing", 1)]
+    assert [(row["name"], row["runs"]) for row in rows] == [("ppo phase", 2), ("ppo timing", 1)]
 
 
 def test_groups_with_the_same_title_get_numbers(tmp_path):
     one = record(tmp_path / "a", [(0.0, OK)], budget_s=1000.0)
     two = record(tmp_path / "b", [(0.0, OK)], budget_s=2000.0)
-    assert [row["name"] for row in summarize([one, two])] == ["ppo switch", "ppo switch #2"]
+    assert [row["name"] for row in summarize([one, two])] == ["ppo phase", "ppo phase #2"]
 
 
 def test_summary_is_of_the_best_policies_and_the_untrained_ones(trainings):

@@ -14,20 +14,24 @@ from caterpillar_env.morphology import Morphology
     ("fields", "message"),
     [
         ({"algorithm": "dqn"}, "algorithm = 'dqn' must be one of ppo"),
-        ({"mode": "hope"}, "mode = 'hope' must be one of timing, switch"),
+        ({"mode": "hope"}, "mode = 'hope' must be one of timing, phase, switch"),
+        ({"prior": "x"}, "prior = 'x' must be one of uniform, gait"),
         ({"design": "x"}, "design = 'x' must be one of fixed, uniform, body"),
-        ({"algorithm": "sac"}, "sac does not support mode 'switch'; it supports timing"),
+        (
+            {"algorithm": "td3", "mode": "switch"},
+            "td3 does not support mode 'switch'; it supports timing, phase",
+        ),
         ({"budget_s": 0}, "budget_s = 0 must be at least 30, the length of one episode"),
         ({"evaluations": 0}, "evaluations = 0"),
         ({"seed": -1}, "seed = -1"),
         ({"seed": 2**32}, "seed = 4294967296"),
-        ({"open_loop": True}, "requires mode timing"),
+        ({"open_loop": True, "mode": "switch"}, "requires mode phase or timing; got mode switch"),
         (
             {"design": "uniform", "morphology": Morphology(leg_separation_m=0.02)},
             "evolves the body",
         ),
         ({"randomize": {"ambient_c": (20, 90)}}, "ambient < Mf < Ms"),
-        ({"design": "uniform", "algorithm": "a2c"}, "requires algorithm ppo without open_loop"),
+        ({"design": "uniform", "algorithm": "td3"}, "requires algorithm ppo without open_loop"),
         ({"randomize": {"luck": (0, 1)}}, "randomization has no luck; its fields are friction"),
         ({"randomize": {"mass": (2, 1)}}, "randomization of mass must be two numbers"),
     ],
@@ -65,20 +69,23 @@ def test_invalid_data_is_rejected(data, message):
 def test_files_follow_rl_zoos_schema(path):
     for env_id, found in yaml.safe_load(path.read_text()).items():
         assert env_id in ENVIRONMENTS.values()
-        assert {"policy", "n_timesteps", "n_envs", "normalize"} <= set(found)
+        assert {"policy", "n_timesteps", "n_envs", "vec_env_wrapper"} <= set(found)
 
 
 def test_bandit_acts_once_per_episode_and_learns_from_as_many_episodes():
-    closed = hyperparameters(TrainConfig(mode="timing"))
-    bandit = hyperparameters(TrainConfig(mode="timing", open_loop=True))
+    closed = hyperparameters(TrainConfig())
+    bandit = hyperparameters(TrainConfig(open_loop=True))
     assert bandit.env_kwargs == {"action_repeat": 6}
     assert bandit.model["n_steps"] * 6 == closed.model["n_steps"]
-    assert bandit.model["batch_size"] == bandit.model["n_steps"] * bandit.n_envs == 8
+    assert bandit.model["batch_size"] == bandit.model["n_steps"] * bandit.n_envs == 16
     assert bandit.model["policy_kwargs"] == closed.model["policy_kwargs"]
     # The episode has a single step, so there is nothing to discount.
-    assert bandit.model["gamma"] == bandit.normalize["gamma"] == 0
-    sac = hyperparameters(TrainConfig("sac", "timing", open_loop=True)).model["learning_starts"]
-    assert sac == hyperparameters(TrainConfig("sac", "timing")).model["learning_starts"] // 6
+    assert bandit.model["gamma"] == 0
+
+
+def test_interface_has_the_mode_and_the_prior():
+    found = hyperparameters(TrainConfig(mode="timing", prior="uniform")).interface
+    assert found == {"reach": 0.3, "mode": "timing", "prior": "uniform"}
 
 
 @pytest.mark.parametrize(
@@ -86,8 +93,9 @@ def test_bandit_acts_once_per_episode_and_learns_from_as_many_episodes():
     [
         ({"mode": "timing", "open_loop": True}, "ppo timing bandit"),
         ({"mode": "timing", "design": "uniform"}, "ppo timing uniform co-design"),
-        ({"morphology": Morphology(leg_separation_m=0.02)}, "ppo switch given body"),
-        ({"randomize": {"mass": (0.9, 1.1)}}, "ppo switch randomized"),
+        ({"morphology": Morphology(leg_separation_m=0.02)}, "ppo phase given body"),
+        ({"randomize": {"mass": (0.9, 1.1)}}, "ppo phase randomized"),
+        ({"algorithm": "td3", "prior": "uniform"}, "td3 phase without prior"),
     ],
     ids=str,
 )

@@ -1,0 +1,146 @@
+"""The part between a learner and its robots: what a policy observes, and what its actions mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+
+from caterpillar_env.arrays import Array
+from caterpillar_env.errors import CaterpillarError, check_number
+from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
+from caterpillar_env.morphology import NAMES
+from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
+from evolution.genome import Encoding
+from evolution.priors import make_priors
+from evolution.priors.distributions import Gaussian
+
+GaitPrior = Literal["uniform", "gait"]
+Mode = Literal["timing", "phase", "switch"]
+
+
+class Interface(VecEnvWrapper):
+    """Wraps robots so that actions are changes of the gait at the peak of evolution's prior.
+
+    With the prior `gait`, an action of zeros makes the wave at the peak of K_4 and K_5, see `best_wave`.
+    In timing and phase mode, -1 and 1 move a time, a delay or a duty from there by `reach`. In switch
+    mode, 1 flips a switch of this wave. With the prior `uniform`, actions are those of the environment.
+
+    Args:
+        venv: robots, for example a `CaterpillarVecEnv`, with the nominal gait period.
+        mode: action mode of the robots.
+        prior: prior of the gait.
+        reach: largest change, as a share of the period (of the largest duty for duties).
+        action_repeat: that of the robots, in switch mode.
+        observe: entries of the observation to keep, by the part of their names before the colon; all by
+            default.
+        physics: physics of the robots.
+
+    Raises:
+        CaterpillarError: a value is out of range, an entry is unknown, or the prior has no peak.
+    """
+
+    def __init__(
+        self,
+        venv: VecEnv,
+        *,
+        mode: Mode = "timing",
+        prior: GaitPrior = "gait",
+        reach: float = 0.3,
+        action_repeat: int = 1,
+        observe: Sequence[str] | None = None,
+        physics: Physics | None = None,
+    ) -> None:
+        check_number("reach", reach, 0.0, 0.5)
+        names: list[str] = venv.get_attr("observation_names", [0])[0]
+        kinds = [name.split(":")[0] for name in names]
+        if unknown := set(observe or ()) - set(kinds):
+            known = ", ".join(dict.fromkeys(kinds))
+            raise CaterpillarError(f"observe has {', '.join(sorted(unknown))}; choose from {known}")
+        self._kept = [i for i, kind in enumerate(kinds) if observe is None or kind in observe]
+        self._mode, self._reach = mode, 2.0 * reach
+        self._repeat_s = action_repeat * CONTROL_INTERVAL_S
+        self._wave: GaitTimings | None = None
+        self._centre, self._circular = np.zeros(0), np.zeros(0, dtype=bool)
+        if prior == "gait":
+            self._wave, self._centre, self._circular = best_wave(physics or Physics(), mode)
+        self._clock = [i for i, kind in enumerate(kinds) if kind == "phase"]
+        self._observations = np.empty((0, len(names)), dtype=np.float32)
+        space = venv.observation_space
+        assert isinstance(space, spaces.Box)
+        low, high = space.low[self._kept], space.high[self._kept]
+        super().__init__(venv, spaces.Box(low, high, dtype=np.float32))
+
+    def observe(self, observations: NDArray[Any]) -> NDArray[Any]:
+        """Return what a policy sees of observations (R, n) or (n,) of the robots."""
+        return observations[..., self._kept]
+
+    def act(self, actions: NDArray[Any], observations: NDArray[Any]) -> NDArray[Any]:
+        """Return the actions of robots for those of a policy, (R, m), and its observations (R, n)."""
+        if self._wave is None:
+            return actions
+        if self._mode == "switch":
+            cosine, sine = observations[:, self._clock].T
+            phase_s = np.arctan2(sine, cosine) / (2 * np.pi) * GAIT_PERIOD_S + self._repeat_s / 2
+            return np.where(_powered(self._wave, phase_s), 1 - actions, actions)
+        moved = self._centre + self._reach * actions
+        return np.where(self._circular, (moved + 1.0) % 2.0 - 1.0, np.clip(moved, -1.0, 1.0))
+
+    def reset(self) -> VecEnvObs:
+        """Reset the robots; see `VecEnv`."""
+        self._observations = np.asarray(self.venv.reset())
+        return self.observe(self._observations)
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Step the robots with the actions of a policy; see `VecEnv`."""
+        self.venv.step_async(self.act(actions, self._observations))
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Return the outcome of the step; see `VecEnv`."""
+        observations, rewards, dones, infos = self.venv.step_wait()
+        self._observations = np.asarray(observations)
+        for row in np.flatnonzero(dones):
+            infos[row]["terminal_observation"] = self.observe(infos[row]["terminal_observation"])
+        return self.observe(self._observations), rewards, dones, infos
+
+
+def best_wave(physics: Physics, mode: Mode) -> tuple[GaitTimings, Array, NDArray[np.bool_]]:
+    """Return the wave at the peak of the gait's prior, which begins with the first dorsal pair.
+
+    Returns:
+        The gait of the springs, its action in timing or phase mode, and which entries of the action are
+        circular (-1 and 1 mean the same).
+
+    Raises:
+        CaterpillarError: two K_i disagree, so that the prior has no peak.
+    """
+    encoding = Encoding(physics, timing="phase")
+    rows = make_priors(encoding, "gait")[len(NAMES) :]
+    peaks = []
+    for row in rows:
+        if row.gene.parameter == "start":
+            peaks.append(0.0)
+        elif isinstance(row.distribution, Gaussian):
+            peaks.append(row.distribution.mu)
+        else:
+            raise CaterpillarError(
+                f"the prior of the gait has no peak for {row.gene.name} with this physics; choose prior "
+                "uniform"
+            )
+    _, timings = encoding.decode(np.array([0.5] * len(NAMES) + peaks))
+    wave = GaitTimings(timings.period_s, timings.on_s[0], timings.off_s[0])
+    if mode == "phase":
+        return wave.mirrored(), 2.0 * np.array(peaks) - 1.0, np.array([r.gene.circular for r in rows])
+    action = wave.to_action().astype(float)
+    return wave.mirrored(), action, np.ones(len(action), dtype=bool)
+
+
+def _powered(wave: GaitTimings, time_s: Array) -> NDArray[np.bool_]:
+    """Return whether each spring is on at times (R,) of the gait, (R, springs)."""
+    since_s = (time_s[:, None] - wave.on_s) % wave.period_s
+    return since_s < (wave.off_s - wave.on_s) % wave.period_s

@@ -1,0 +1,126 @@
+"""What a policy observes, and what its actions mean."""
+
+import numpy as np
+import pytest
+
+from baselines.interface import Interface, best_wave
+from baselines.vec_env import CaterpillarVecEnv
+from caterpillar_env import GaitTimings, Morphology, Physics, simulate
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.gait import MAX_DUTY
+
+IDS = {"timing": "CaterpillarSMA-v0", "phase": "CaterpillarSMA-v0", "switch": "CaterpillarSMASwitch-v0"}
+
+
+def wrap(mode="phase", robots=2, physics=None, action_repeat=1, **settings):
+    env = CaterpillarVecEnv(
+        IDS[mode], robots, threads=1, action_mode=mode, physics=physics, action_repeat=action_repeat
+    )
+    return Interface(env, mode=mode, action_repeat=action_repeat, physics=physics, **settings)
+
+
+def crawl_m(wave):
+    """Distance of the nominal body with a gait."""
+    gaits = GaitTimings(wave.period_s, wave.on_s[None], wave.off_s[None])
+    return simulate([Morphology()], gaits, Physics()).distance_m[0]
+
+
+def test_best_wave_is_at_the_peak_of_the_prior():
+    """K_4 peaks at a duty of a fifth, K_5 for a wave from the tail."""
+    wave, action, circular = best_wave(Physics(), "phase")
+    delay, duty = (action[0::2] + 1) / 2, MAX_DUTY * (action[1::2] + 1) / 2
+    assert delay == pytest.approx([0, 0.5, 0.7, 0.5, 0.7, 0.5])
+    assert duty == pytest.approx(np.full(6, 0.21), abs=0.01)
+    assert circular.tolist() == [True, False] * 6
+    assert 0.1 < crawl_m(wave) < 0.2  # the wave designed by hand makes 0.177 m
+
+
+@pytest.mark.parametrize("mode", ["timing", "phase"])
+def test_action_of_zeros_makes_the_best_wave(mode):
+    interface = wrap(mode, robots=1)
+    interface.reset()
+    for _ in range(6):
+        _, _, dones, infos = interface.step(np.zeros((1, 12), dtype=np.float32))
+    assert dones.all()
+    wave, _, _ = best_wave(Physics(), mode)
+    assert infos[0]["distance"] == pytest.approx(
+        crawl_m(wave), abs=0.002
+    )  # actions are single precision
+
+
+def test_action_moves_values_by_the_reach():
+    interface = wrap(reach=0.1)
+    _, centre, _ = best_wave(Physics(), "phase")
+    actions = np.stack([np.ones(12), np.eye(12)[3]])
+    moved = interface.act(actions, interface.reset())
+    np.testing.assert_allclose(moved[1] - centre, 0.2 * np.eye(12)[3], atol=1e-12)
+    np.testing.assert_allclose(moved[0] - centre, np.full(12, 0.2), atol=1e-12)
+
+
+def test_delays_and_times_are_circular_but_duties_are_not():
+    back = -np.ones((1, 12))
+    interface = wrap(reach=0.3)
+    _, centre, _ = best_wave(Physics(), "phase")
+    moved = interface.act(back, interface.reset())[0]
+    assert moved[0] == pytest.approx(0.4)  # a delay of -0.3 is one of 0.7
+    assert centre[1] - 0.6 < -1 == moved[1]
+    timing = wrap("timing", reach=0.3)
+    _, centre, _ = best_wave(Physics(), "timing")
+    moved = timing.act(back, timing.reset())[0]
+    np.testing.assert_allclose(np.cos(np.pi * (moved - centre + 0.6)), 1.0)
+    assert (np.abs(moved) <= 1).all()
+
+
+def test_flips_change_the_switches_of_the_wave():
+    interface = wrap("switch", robots=1, action_repeat=5)
+    wave, _, _ = best_wave(Physics(), "switch")
+    interface.reset()
+    seen = []
+    for step in range(10):  # one period
+        expected = (((step + 0.5) * 0.5 - wave.on_s) % 5.0 < (wave.off_s - wave.on_s) % 5.0).astype(int)
+        observed = interface._observations
+        np.testing.assert_array_equal(interface.act(np.zeros((1, 12), int), observed)[0], expected)
+        np.testing.assert_array_equal(interface.act(np.ones((1, 12), int), observed)[0], 1 - expected)
+        interface.step(np.zeros((1, 12), int))
+        seen.append(expected)
+    np.testing.assert_allclose(np.mean(seen, axis=0), 0.2, atol=0.1)
+
+
+@pytest.mark.parametrize("mode", ["timing", "phase", "switch"])
+def test_without_the_prior_actions_are_those_of_the_robots(mode):
+    interface = wrap(mode, prior="uniform")
+    actions = np.array([interface.action_space.sample() for _ in range(2)])
+    assert interface.act(actions, interface.reset()) is actions
+
+
+def test_policy_observes_the_chosen_entries():
+    physics = Physics(num_segments=2, timestep_s=0.01)
+    interface = wrap("switch", physics=physics, prior="uniform", observe=["fraction", "phase"])
+    first = interface.reset()
+    assert first.shape == (2, 6)
+    assert interface.observation_space.shape == (6,)
+    np.testing.assert_array_equal(first, [[0, 0, 0, 0, 1, 0]] * 2)  # cold, at the start of a period
+    dones = np.zeros(2, dtype=bool)
+    while not dones.all():
+        observed, _, dones, infos = interface.step(np.zeros((2, 4), int))
+    assert all(info["terminal_observation"].shape == (6,) for info in infos)
+    np.testing.assert_array_equal(observed, first)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"observe": ["mood"]}, "observe has mood; choose from position, velocity"),
+        ({"reach": 0.6}, "reach = 0.6 must be"),
+    ],
+    ids=str,
+)
+def test_invalid_settings_are_rejected(settings, message):
+    with pytest.raises(CaterpillarError, match=message):
+        wrap(prior="uniform", **settings)
+
+
+def test_gait_of_the_prior_has_as_many_pairs_as_the_robot():
+    wave, action, _ = best_wave(Physics(num_segments=2), "timing")
+    assert wave.on_s.shape == (4,)  # springs
+    assert action.shape == (4,)  # on and off times of two pairs
