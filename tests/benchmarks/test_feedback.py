@@ -1,0 +1,58 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from baselines.config import TrainConfig
+from baselines.policy import TrainedRobot
+from baselines.training import train
+from benchmarks import feedback
+from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.physics import Physics
+from caterpillar_env.worlds import World
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Training runs that end before the first update, with feedback (two seeds) and without."""
+    home = tmp_path_factory.mktemp("feedback")
+    for name, fields in {"a": {}, "b": {"seed": 1}, "c": {"open_loop": True}}.items():
+        physics = Physics(num_segments=3, timestep_s=0.01)
+        train(
+            TrainConfig(budget_s=600.0 if "open_loop" in fields else 150.0, physics=physics, **fields),
+            home / name,
+        )
+    return [home / name for name in "abc"]
+
+
+def test_conditions_are_all_combinations():
+    conditions = feedback.make_conditions((0.5, 1.0), (7,), ("flat", "slope:angle_deg=5"))
+    assert len(conditions) == 4
+    assert conditions[-1] == {
+        "friction": 1.0, "mismatch_seed": 7, "world": World.of("slope:angle_deg=5")
+    }  # fmt: skip
+
+
+def test_policies_are_compared_by_their_mean_over_the_conditions(folders, capsys):
+    conditions = feedback.make_conditions((0.5, 1.0), (7,), ("flat",))
+    feedback.compare_policies(folders, conditions)
+    wave, closed, bandit = json.loads(capsys.readouterr().out)["rows"]
+    assert (wave["policy"], wave["runs"]) == ("hand-made wave", 1)
+    assert wave["nominal, median mm"]["value"] == pytest.approx(177, abs=1)
+    assert (closed["policy"], closed["runs"]) == ("ppo phase", 2)
+    assert (bandit["policy"], bandit["runs"]) == ("ppo phase bandit", 1)
+    robot = TrainedRobot.load(folders[2])
+    assert bandit["nominal, median mm"]["value"] == pytest.approx(1000 * robot.fitness_m)
+    expected_mm = [
+        1000 * replace(robot, physics=replace(robot.physics, **fields)).simulate().fitness()[0]
+        for fields in conditions
+    ]
+    assert bandit["unseen, median of means, mm"]["value"] == pytest.approx(np.mean(expected_mm))
+    assert bandit["worst condition, median mm"] == pytest.approx(min(expected_mm))
+    assert closed["A12 against the first"]["value"] == 0.5
+
+
+def test_folder_of_an_evolutionary_run_is_rejected(tmp_path):
+    with pytest.raises(CaterpillarError, match="not a run folder"):
+        feedback.compare_policies([tmp_path], [{}])
