@@ -1,8 +1,12 @@
 """What a policy observes, and what its actions mean."""
 
+import gymnasium
 import numpy as np
 import pytest
+import yaml
+from stable_baselines3.common.vec_env import DummyVecEnv
 
+from baselines.config import HYPERPARAMETERS
 from baselines.interface import Interface, best_wave
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env import GaitTimings, Morphology, Physics, simulate
@@ -105,6 +109,21 @@ def test_policy_observes_the_chosen_entries():
         observed, _, dones, infos = interface.step(np.zeros((2, 4), int))
     assert all(info["terminal_observation"].shape == (6,) for info in infos)
     np.testing.assert_array_equal(observed, first)
+
+
+@pytest.mark.parametrize("path", sorted(HYPERPARAMETERS.glob("*.yml")), ids=lambda path: path.stem)
+def test_files_of_hyperparameters_wrap_single_environments_as_rl_zoo3_does(path):
+    for env_id, found in yaml.safe_load(path.read_text()).items():
+        (entry,) = found["vec_env_wrapper"]
+        ((name, arguments),) = entry.items()
+        assert name == f"{Interface.__module__}.{Interface.__name__}"
+        settings = found.get("env_kwargs", {})
+        envs = DummyVecEnv([lambda: gymnasium.make(env_id, **settings)])  # noqa: B023
+        interface = Interface(envs, **arguments)
+        observed = interface.reset()
+        still = np.zeros((1, 12), dtype=int if "Switch" in env_id else np.float32)
+        assert interface.act(still, observed).any()  # the wave of the prior
+        assert interface.step(still)[0].shape == observed.shape
 
 
 @pytest.mark.parametrize(
