@@ -2,9 +2,11 @@
 
 import os
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).parents[2]
 #: In place of every program: notes its call, fails where it is told to.
@@ -67,3 +69,17 @@ def test_a_check_that_fails_is_the_end(ci, step):
     assert done.returncode != 0
     assert "== done" not in done.stdout
     assert step in calls
+
+
+def test_citation_and_changelog_have_the_version_of_the_package():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    assert citation["version"] == version
+    assert citation["license"] == "MIT"
+    assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text("utf-8")
+
+
+def test_workflow_runs_the_script_of_all_checks():
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text("utf-8"))
+    (job,) = workflow["jobs"].values()
+    assert job["steps"][-1] == {"run": ".ci/run"}
