@@ -11,8 +11,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from caterpillar_env.errors import CaterpillarError
 
 
-class SmallActions(BaseCallback):
-    """Lets an untrained actor of TD3 act close to zero, as one of PPO does.
+class ZeroActions(BaseCallback):
+    """Sets the output layer of an untrained TD3 actor to zero, so that its actions are zero.
 
     With `Interface` and the prior of the gait, the robot then starts with the gait at the prior's peak.
     """
@@ -20,9 +20,8 @@ class SmallActions(BaseCallback):
     def _on_training_start(self) -> None:
         if not self.model.num_timesteps:
             model: Any = self.model
-            with torch.no_grad():
-                for parameter in model.actor.mu[-2].parameters():
-                    parameter.mul_(0.01)
+            for parameter in model.actor.mu[-2].parameters():
+                torch.nn.init.zeros_(parameter)
             model.actor_target.load_state_dict(model.actor.state_dict())
 
     def _on_step(self) -> bool:
@@ -30,7 +29,7 @@ class SmallActions(BaseCallback):
 
 
 class RareFlips(BaseCallback):
-    """Sets how often an untrained policy in switch mode sets an entry of its action to 1.
+    """Sets the probability of 1 in the actions of an untrained policy in switch mode.
 
     With `Interface` and the prior of the gait, 1 flips a switch of the gait at the prior's peak.
 

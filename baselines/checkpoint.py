@@ -7,6 +7,7 @@ that depend on its number. A checkpoint holds tensors and numbers only: loading 
 from __future__ import annotations
 
 import io
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import COPY, write_bytes
 
+_DIGEST_BYTES = 32
 _COLUMNS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
@@ -46,9 +48,10 @@ def save(folder: Path, number: int, model: BaseAlgorithm, more: dict[str, Any]) 
         rows = buffer.buffer_size if buffer.full else buffer.pos
         columns = {name: torch.from_numpy(getattr(buffer, name)[:rows]) for name in _COLUMNS}
         state["buffer"] = {"pos": buffer.pos, "full": buffer.full, "columns": columns}
-    content = io.BytesIO()
-    torch.save(state, content)
-    write_bytes(path_of(folder, number), content.getvalue(), COPY)
+    stream = io.BytesIO()
+    torch.save(state, stream)
+    content = stream.getvalue()
+    write_bytes(path_of(folder, number), sha256(content).digest() + content, COPY)
 
 
 def load(folder: Path, number: int, model: BaseAlgorithm) -> dict[str, Any]:
@@ -59,7 +62,11 @@ def load(folder: Path, number: int, model: BaseAlgorithm) -> dict[str, Any]:
     """
     path = path_of(folder, number)
     try:
-        state = torch.load(path, weights_only=True)
+        data = path.read_bytes()
+        digest, content = data[:_DIGEST_BYTES], data[_DIGEST_BYTES:]
+        if sha256(content).digest() != digest:
+            raise ValueError("the digest differs")
+        state = torch.load(io.BytesIO(content), weights_only=True)
         model.set_parameters(state["parameters"])
         model.num_timesteps, model._n_updates = state["steps"], state["updates"]
         if (buffer := getattr(model, "replay_buffer", None)) is not None:
@@ -69,7 +76,7 @@ def load(folder: Path, number: int, model: BaseAlgorithm) -> dict[str, Any]:
                 getattr(buffer, name)[: len(column)] = column
         more: dict[str, Any] = state["more"]
     except Exception as error:  # damaged files raise errors of many kinds
-        why = str(error) if isinstance(error, OSError) else "it is damaged, or of another version"
+        why = error.strerror if isinstance(error, OSError) else "it is damaged, or of another version"
         raise CaterpillarError(
             f"cannot resume from {path}: {why}; restore a copy of it, or train again in another folder"
         ) from None

@@ -68,6 +68,8 @@ class CoDesign(BaseCallback):
         if self._first_m:
             self._genomes = self.optimizer.ask()
         self._frozen = state["frozen"]
+        if self._frozen:
+            self._robots.set_options({"morphology": [self.mean_body] * self._robots.num_envs})
 
     def _tell(self, genomes: Array, fitness: Array) -> None:
         self.optimizer.tell(genomes, fitness)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -153,24 +154,26 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
     ((_, interface),) = model.pop("vec_env_wrapper")[0].items()
     interface |= {"mode": config.mode, "prior": config.prior}
     callback = model.pop("callback", [])
+    if config.prior == "uniform":
+        callback = []  # they let a policy begin with the gait of the prior
     if config.design != "fixed":
         n_envs = POPULATION * ROBOTS_PER_BODY
     if config.open_loop:
         env_kwargs["action_repeat"] = _PERIODS_PER_EPISODE
-        for name in ("n_steps", "learning_starts"):  # keep the number of episodes
-            if name in model:
-                model[name] = max(1, model[name] // _PERIODS_PER_EPISODE)
-        if model.keys() >= {"n_steps", "batch_size"}:
+        model["gamma"] = 0.0  # an episode is a single step
+        if "n_steps" in model:  # keep the number of episodes
+            model["n_steps"] //= _PERIODS_PER_EPISODE
             # PPO warns of mini-batches that are larger than a rollout.
             model["batch_size"] = min(model["batch_size"], model["n_steps"] * n_envs)
-        if "gamma" in model:
-            model["gamma"] = 0.0  # an episode is a single step
     return Hyperparameters(n_envs, env_kwargs, interface, callback, model)
 
 
 def make_configuration(config: TrainConfig) -> dict[str, Any]:
     """Return the configuration that the journal of a training run stores."""
-    return {"kind": "training", **config.to_dict(), "hyperparameters": hyperparameters(config)._asdict()}
+    settings = {"kind": "training", **config.to_dict()}
+    settings["hyperparameters"] = hyperparameters(config)._asdict()
+    plain: dict[str, Any] = json.loads(json.dumps(settings))  # as read from a journal: lists, no tuples
+    return plain
 
 
 def is_evaluated_as_recorded(configuration: Mapping[str, Any], config: TrainConfig) -> bool:
@@ -217,8 +220,14 @@ class Training(NamedTuple):
                 f"{folder} contains an evolutionary run; give a folder that caterpillar rl train made"
             )
         names = ("kind", "hyperparameters")
-        data = {k: v for k, v in history.configuration.items() if k not in names}
-        return cls(TrainConfig.from_dict(data), history)
+        # Earlier versions had no prior.
+        data = {"prior": "uniform"} | {k: v for k, v in history.configuration.items() if k not in names}
+        try:
+            return cls(TrainConfig.from_dict(data), history)
+        except CaterpillarError as error:
+            raise CaterpillarError(
+                f"{folder}: {error}. If an earlier version of this package trained it, use that version"
+            ) from None
 
     def body(self, evaluation: Evaluation) -> Morphology:
         """Return the body with which the policy was evaluated."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -42,14 +42,15 @@ class Interface(VecEnvWrapper):
         physics: physics of the robots.
 
     Raises:
-        CaterpillarError: a value is out of range, an entry is unknown, or the prior has no peak.
+        CaterpillarError: a value is out of range, an entry is unknown, the prior has no peak, or the
+            robots have other actions.
     """
 
     def __init__(
         self,
         venv: VecEnv,
         *,
-        mode: Mode = "timing",
+        mode: Mode,
         prior: GaitPrior = "gait",
         reach: float = 0.3,
         action_repeat: int = 1,
@@ -65,10 +66,15 @@ class Interface(VecEnvWrapper):
         self._kept = [i for i, kind in enumerate(kinds) if observe is None or kind in observe]
         self._mode, self._reach = mode, 2.0 * reach
         self._repeat_s = action_repeat * CONTROL_INTERVAL_S
-        self._wave: GaitTimings | None = None
-        self._centre, self._circular = np.zeros(0), np.zeros(0, dtype=bool)
+        self._wave: Wave | None = None
         if prior == "gait":
-            self._wave, self._centre, self._circular = best_wave(physics or Physics(), mode)
+            self._wave = best_wave(physics or Physics(), mode)
+            expected, given = self._wave.action.shape, venv.action_space.shape
+            if given != expected:
+                raise CaterpillarError(
+                    f"the prior's gait has actions of shape {expected}, but the robots take {given}: "
+                    "give mode and physics of the robots, and do not set symmetric = False"
+                )
         self._clock = [i for i, kind in enumerate(kinds) if kind == "phase"]
         self._observations = np.empty((0, len(names)), dtype=np.float32)
         space = venv.observation_space
@@ -87,9 +93,9 @@ class Interface(VecEnvWrapper):
         if self._mode == "switch":
             cosine, sine = observations[:, self._clock].T
             phase_s = np.arctan2(sine, cosine) / (2 * np.pi) * GAIT_PERIOD_S + self._repeat_s / 2
-            return np.where(_powered(self._wave, phase_s), 1 - actions, actions)
-        moved = self._centre + self._reach * actions
-        return np.where(self._circular, (moved + 1.0) % 2.0 - 1.0, np.clip(moved, -1.0, 1.0))
+            return np.where(_powered(self._wave.gait, phase_s), 1 - actions, actions)
+        moved = self._wave.action + self._reach * actions
+        return np.where(self._wave.circular, (moved + 1.0) % 2.0 - 1.0, np.clip(moved, -1.0, 1.0))
 
     def reset(self) -> VecEnvObs:
         """Reset the robots; see `VecEnv`."""
@@ -109,12 +115,16 @@ class Interface(VecEnvWrapper):
         return self.observe(self._observations), rewards, dones, infos
 
 
-def best_wave(physics: Physics, mode: Mode) -> tuple[GaitTimings, Array, NDArray[np.bool_]]:
-    """Return the wave at the peak of the gait's prior, which begins with the first dorsal pair.
+class Wave(NamedTuple):
+    """A wave, and the action that makes it."""
 
-    Returns:
-        The gait of the springs, its action in timing or phase mode, and which entries of the action are
-        circular (-1 and 1 mean the same).
+    gait: GaitTimings  #: of the springs
+    action: Array  #: in timing or phase mode; zeros in switch mode, in which a gait has many actions
+    circular: NDArray[np.bool_]  #: entries of the action for which -1 and 1 mean the same
+
+
+def best_wave(physics: Physics, mode: Mode) -> Wave:
+    """Return the wave at the peak of the gait's prior, which begins with the first dorsal pair.
 
     Raises:
         CaterpillarError: two K_i disagree, so that the prior has no peak.
@@ -134,10 +144,14 @@ def best_wave(physics: Physics, mode: Mode) -> tuple[GaitTimings, Array, NDArray
             )
     _, timings = encoding.decode(np.array([0.5] * len(NAMES) + peaks))
     wave = GaitTimings(timings.period_s, timings.on_s[0], timings.off_s[0])
-    if mode == "phase":
-        return wave.mirrored(), 2.0 * np.array(peaks) - 1.0, np.array([r.gene.circular for r in rows])
-    action = wave.to_action().astype(float)
-    return wave.mirrored(), action, np.ones(len(action), dtype=bool)
+    if mode == "switch":
+        zeros = np.zeros(physics.num_springs)
+        return Wave(wave.mirrored(), zeros, zeros > 0)
+    if mode == "timing":
+        action = wave.to_action().astype(float)
+        return Wave(wave.mirrored(), action, np.ones(len(action), dtype=bool))
+    circular = np.array([row.gene.circular for row in rows])
+    return Wave(wave.mirrored(), 2.0 * np.array(peaks) - 1.0, circular)
 
 
 def _powered(wave: GaitTimings, time_s: Array) -> NDArray[np.bool_]:

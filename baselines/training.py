@@ -110,22 +110,19 @@ def _run(recorder: _Recorder) -> None:
     torch.set_num_threads(1)
     try:
         history.begin(_PACKAGES)
-        if recorder.is_over():
-            history.finish()
-            return
         callbacks = [recorder, *map(_make_callback, hyperparameters(config).callback)]
         if recorder.designs is not None:
             callbacks.append(recorder.designs)
         model = make_model(config, robots)
-        if history.generations:
-            recorder.restore(model)
+        over = bool(history.generations) and recorder.restore(model)
         try:
-            while True:  # robots that fail use fewer seconds than their steps would
+            while not over:  # robots that fail use fewer seconds than their steps would
                 steps = max(int((config.budget_s - recorder.spent_s) / robots.vector_env.step_s), 1)
                 model.learn(steps, callback=callbacks, reset_num_timesteps=not model.num_timesteps)
         except _BudgetSpent:
             recorder.evaluate(last=True)
-            history.finish()
+        history.finish()
+        checkpoint.remove(history.folder)
     except KeyboardInterrupt:
         pass
     finally:
@@ -180,27 +177,19 @@ class _Recorder(BaseCallback):
         """Simulated seconds of training and evaluation so far, also in earlier sessions."""
         return self.history.simulated_s + self._since_s()
 
-    def is_over(self) -> bool:
-        """Return whether a stopped training run has made its last evaluation, without a checkpoint."""
-        history = self.history
-        last = checkpoint.path_of(history.folder, len(history.generations) - 1)
-        return self._is_spent() and not last.exists()
-
-    def _is_spent(self) -> bool:
-        return self.spent_s + self._reserve_s > self.config.budget_s
-
     def _since_s(self) -> float:
         """Return the simulated seconds since the last evaluation, rounded so that resuming is exact."""
         crawls = self.robots.vector_env.crawl, self._env.crawl
         return round(sum(crawl.simulation.simulated_s for crawl in crawls) - self._counted_s, 6)
 
-    def restore(self, model: BaseAlgorithm) -> None:
-        """Restore a new algorithm and the co-design from the checkpoint after the last evaluation."""
+    def restore(self, model: BaseAlgorithm) -> bool:
+        """Restore a new algorithm and the co-design. Return whether the last evaluation was made."""
         more = checkpoint.load(self.history.folder, len(self.history.generations) - 1, model)
         if self.designs is not None:
             self.designs.restore(more)
         self._save(Policy.of(model))  # the process may have been killed before this
         self._restored = True
+        return bool(more["last"])
 
     def _on_rollout_start(self) -> None:
         due = self._since_s() >= self.config.budget_s / self.config.evaluations
@@ -221,7 +210,7 @@ class _Recorder(BaseCallback):
     def _on_step(self) -> bool:
         if self._on_progress is not None:
             self._on_progress(self.spent_s)
-        if self._is_spent():
+        if self.spent_s + self._reserve_s > self.config.budget_s:
             raise _BudgetSpent
         return True
 
@@ -229,7 +218,7 @@ class _Recorder(BaseCallback):
         """Run one episode of the deterministic policy, and record it with the policy.
 
         Args:
-            last: whether the training ends, so that no checkpoint is needed.
+            last: whether this is the last evaluation.
         """
         config, history = self.config, self.history
         body, genome = config.morphology, config.morphology.to_unit()
@@ -239,14 +228,13 @@ class _Recorder(BaseCallback):
         outcome = policy.crawl(self._env, config.seed, body)
         since_s = self._since_s()
         self._counted_s += since_s
-        if not last:
-            more = {} if self.designs is None else self.designs.state()
-            checkpoint.save(history.folder, number, self.model, more)
+        more = {} if self.designs is None else self.designs.state()
+        checkpoint.save(history.folder, number, self.model, more | {"last": last})
         if not history.replay(genome[None]):  # it is known if the process was killed after recording it
             history.append(genome[None], outcome._replace(simulated_s=np.array([since_s])))
         history.complete()
         self._save(policy)
-        checkpoint.remove(history.folder, keep=None if last else number)
+        checkpoint.remove(history.folder, keep=number)
         if self._on_evaluation is not None:
             self._on_evaluation(history)
 

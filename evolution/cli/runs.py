@@ -63,7 +63,7 @@ def _summarize(history: History) -> dict[str, Any]:
     if history.kind == "training":
         training = history.configuration
         row["optimizer"] = f"{training.get('algorithm')} {training.get('mode')}"
-        row["prior"], row["seed"] = training.get("prior"), training.get("seed")
+        row["prior"], row["seed"] = training.get("prior", "uniform"), training.get("seed")
         total = training.get("evaluations")
     else:
         config = history.config

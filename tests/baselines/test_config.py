@@ -1,6 +1,7 @@
 """Configurations of training runs, and hyperparameters in the schema of rl_zoo3."""
 
 import json
+from dataclasses import replace
 
 import pytest
 import yaml
@@ -81,11 +82,19 @@ def test_bandit_acts_once_per_episode_and_learns_from_as_many_episodes():
     assert bandit.model["policy_kwargs"] == closed.model["policy_kwargs"]
     # The episode has a single step, so there is nothing to discount.
     assert bandit.model["gamma"] == 0
+    td3 = hyperparameters(TrainConfig("td3", open_loop=True)).model
+    assert (td3["gamma"], td3["learning_starts"]) == (0, 0)
 
 
 def test_interface_has_the_mode_and_the_prior():
     found = hyperparameters(TrainConfig(mode="timing", prior="uniform")).interface
     assert found == {"reach": 0.3, "mode": "timing", "prior": "uniform"}
+
+
+def test_policies_without_the_prior_begin_as_those_of_stable_baselines3():
+    for config in (TrainConfig("td3"), TrainConfig(mode="switch")):
+        assert hyperparameters(config).callback
+        assert not hyperparameters(replace(config, prior="uniform")).callback
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,14 @@ import io
 import os
 import pickle
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from baselines import training
+from baselines import codesign, training
 from baselines.config import TrainConfig, Training, hyperparameters
 from baselines.interface import Interface
 from baselines.policy import (
@@ -112,7 +113,9 @@ class Watcher:
 
 def test_policy_observes_and_acts_through_its_interface():
     watcher = Watcher()
-    interface = Interface(make_training_env(config()), physics=SMALL, observe=["fraction"])
+    interface = Interface(
+        make_training_env(config()), mode="timing", physics=SMALL, observe=["fraction"]
+    )
     untrained = Policy(watcher, interface).crawl(make_env(config()), 0, config().morphology)
     assert [observed.shape for observed in watcher.observed] == [(1, 8)] * 6  # one per gait period
     assert untrained.distance_m[0] > 0.05  # the best wave of the prior
@@ -176,7 +179,7 @@ def test_a_resumed_training_gives_the_same_bits(trained, tmp_path):
     for count in range(1, 5):
         folder = tmp_path / str(count)
         assert not train(config(), folder, on_evaluation=stop_after(count)).history.finished
-        assert len(list(folder.glob("checkpoint-*.pt"))) == (count < 4)  # none after the last one
+        assert len(list(folder.glob("checkpoint-*.pt"))) == 1
         assert resume(folder, threads=1).history.finished
         assert_same_runs(trained[0], folder)
 
@@ -186,16 +189,17 @@ def test_a_resumed_training_gives_the_same_bits(trained, tmp_path):
     "fields",
     [
         {"algorithm": "td3"},
+        {"algorithm": "td3", "open_loop": True},
         {"mode": "switch"},
-        {"open_loop": True},
         {"design": "body", "budget_s": 3000.0, "evaluations": 6},
         {"randomize": {"friction": (0.4, 1.0)}},
     ],
     ids=str,
 )
-def test_every_kind_of_training_can_be_resumed(tmp_path, fields):
+def test_every_kind_of_training_can_be_resumed(tmp_path, monkeypatch, fields):
+    monkeypatch.setattr(codesign, "FROZEN_SHARE", 0.5)  # so that frozen bodies are resumed, too
     train(config(**fields), tmp_path / "whole")
-    for count in (2, 3):
+    for count in (1, 2, 3):
         folder = tmp_path / str(count)
         train(config(**fields), folder, on_evaluation=stop_after(count))
         resume(folder, on_evaluation=stop_after(1))
@@ -203,16 +207,17 @@ def test_every_kind_of_training_can_be_resumed(tmp_path, fields):
         assert_same_runs(tmp_path / "whole", folder)
 
 
-@pytest.mark.parametrize("step", ["append", "complete", "_save"])
+@pytest.mark.parametrize("number", [2, 3])
+@pytest.mark.parametrize("step", ["append", "complete", "_save", "finish"])
 def test_a_training_that_was_killed_while_it_recorded_gives_the_same_bits(
-    trained, tmp_path, monkeypatch, step
+    trained, tmp_path, monkeypatch, step, number
 ):
-    """The process dies before it records the third evaluation, completes it, or saves its policy."""
+    """The process dies before it records, completes or saves an evaluation, or before it finishes."""
     owner = training._Recorder if step == "_save" else training.History
     original, calls = getattr(owner, step), iter(range(99))
 
     def die(*args, **kwargs):
-        if next(calls) == 2:
+        if next(calls) == (0 if step == "finish" else number):
             raise KeyboardInterrupt
         return original(*args, **kwargs)
 
@@ -221,6 +226,20 @@ def test_a_training_that_was_killed_while_it_recorded_gives_the_same_bits(
         train(config(), tmp_path / "run")
     resume(tmp_path / "run")
     assert_same_runs(trained[0], tmp_path / "run")
+
+
+def test_training_with_given_springs_can_be_resumed(tmp_path):
+    springs = replace(SMALL, spring_strengths=(1.0,) * 8)
+    train(config(physics=springs, budget_s=150.0), tmp_path / "run", on_evaluation=stop_after(1))
+    assert resume(tmp_path / "run").history.finished
+
+
+def test_training_of_an_earlier_version_names_its_folder(trained, tmp_path):
+    (tmp_path / "journal.sqlite").write_bytes((trained[0] / "journal.sqlite").read_bytes())
+    with Journal(tmp_path) as journal:
+        journal.configure(journal.configuration | {"algorithm": "sac"})
+    with pytest.raises(CaterpillarError, match=rf"{tmp_path}: algorithm = 'sac' .* use that version"):
+        Training.read(tmp_path)
 
 
 def test_finished_training_is_returned_as_it_is(trained):
@@ -238,7 +257,7 @@ def test_training_of_other_hyperparameters_is_not_resumed(tmp_path, monkeypatch)
         resume(tmp_path / "run")
 
 
-@pytest.mark.parametrize("damage", ["missing", "short", "other"])
+@pytest.mark.parametrize("damage", ["missing", "short", "bit", "other"])
 def test_damaged_checkpoint_is_refused(tmp_path, damage):
     folder = tmp_path / "run"
     train(config(), folder, on_evaluation=stop_after(1))
@@ -247,6 +266,8 @@ def test_damaged_checkpoint_is_refused(tmp_path, damage):
     path.unlink()
     if damage == "short":
         path.write_bytes(content[:-1000])
+    elif damage == "bit":
+        path.write_bytes(content[:-1000] + bytes([content[-1000] ^ 1]) + content[-999:])
     elif damage == "other":
         path.write_bytes(pickle.dumps(Trap(tmp_path / "proof")))
     with pytest.raises(CaterpillarError, match=r"cannot resume from .*checkpoint-0\.pt"):

@@ -5,11 +5,13 @@ import numpy as np
 import pytest
 
 from baselines.config import TrainConfig
-from baselines.policy import TrainedRobot
+from baselines.policy import Policy, TrainedRobot
 from baselines.training import train
 from benchmarks import feedback
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.physics import Physics
+from caterpillar_env.robot import Outcomes
+from caterpillar_env.task import Failure
 from caterpillar_env.worlds import World
 
 
@@ -51,6 +53,17 @@ def test_policies_are_compared_by_their_mean_over_the_conditions(folders, capsys
     assert bandit["unseen, median of means, mm"]["value"] == pytest.approx(np.mean(expected_mm))
     assert bandit["worst condition, median mm"] == pytest.approx(min(expected_mm))
     assert closed["A12 against the first"]["value"] == 0.5
+
+
+def test_run_without_a_best_policy_counts_as_0(tmp_path, capsys, monkeypatch):
+    tipped = Outcomes(*(np.array([value]) for value in (Failure.TIPPED, 0.5, 1.0, 30.0)))
+    monkeypatch.setattr(Policy, "crawl", lambda *_args, **_more: tipped)
+    physics = Physics(num_segments=2, timestep_s=0.01)
+    train(TrainConfig(budget_s=150.0, physics=physics), tmp_path / "run")
+    feedback.compare_policies([tmp_path / "run"], [{}, {}])
+    _, row = json.loads(capsys.readouterr().out)["rows"]
+    assert row["nominal, median mm"]["value"] == row["unseen, median of means, mm"]["value"] == 0.0
+    assert row["failures, %"] == 100.0
 
 
 def test_folder_of_an_evolutionary_run_is_rejected(tmp_path):
