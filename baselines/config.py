@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import yaml
 
-from baselines.interface import GaitPrior, Mode
+from baselines.interface import GaitPrior
+from caterpillar_env.arguments import ActionMode
 from caterpillar_env.errors import CaterpillarError, check_fields, from_mapping
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
@@ -22,7 +23,7 @@ from evolution.run.journal import Evaluation
 
 AlgorithmName = Literal["ppo", "td3"]
 Design = Literal["fixed", "uniform", "body"]
-ENVIRONMENTS: dict[Mode, str] = {
+ENVIRONMENTS: dict[ActionMode, str] = {
     "timing": "CaterpillarSMA-v0", "phase": "CaterpillarSMA-v0", "switch": "CaterpillarSMASwitch-v0",
 }  # fmt: skip
 POPULATION = 8  #: number of bodies that CMA-ES proposes per generation
@@ -41,10 +42,8 @@ class TrainConfig:
 
     algorithm: AlgorithmName = "ppo"  #: learning algorithm of stable-baselines3
     #: Actions. phase: delays and duties, per period; timing: on and off times; switch: every 0.5 s
-    mode: Mode = "phase"
-    prior: GaitPrior = (
-        "gait"  #: gait: learn changes of the prior's best wave; uniform: learn from scratch
-    )
+    mode: ActionMode = "phase"
+    prior: GaitPrior = "gait"  #: gait: learn changes of the best wave; uniform: learn from scratch
     open_loop: bool = False  #: choose one action per episode (a bandit); not in switch mode
     design: Design = "fixed"  #: fixed: one body; otherwise the prior from which CMA-ES evolves the body
     seed: int = 0  #: seed of the training run; --mismatch-seed sets the spring strengths
@@ -85,13 +84,11 @@ class TrainConfig:
         Raises:
             CaterpillarError: a field is unknown or has an invalid value.
         """
-        values = dict(data) if isinstance(data, Mapping) else {}
-        if not isinstance(data, Mapping):
-            return from_mapping(cls, data, "a training run")
-        for name, kind in (("physics", Physics), ("morphology", Morphology)):
-            if name in values:
-                values[name] = kind.of(values[name])
-        return from_mapping(cls, values, "a training run")
+        kinds: dict[str, Any] = {"physics": Physics, "morphology": Morphology}
+        made: Any = data
+        if isinstance(data, Mapping):
+            made = {name: kinds[name].of(v) if name in kinds else v for name, v in data.items()}
+        return from_mapping(cls, made, "a training run")
 
     def to_dict(self) -> dict[str, Any]:
         """Return the configuration as plain JSON."""
@@ -101,6 +98,11 @@ class TrainConfig:
     def env_id(self) -> str:
         """Gymnasium id of the environment."""
         return ENVIRONMENTS[self.mode]
+
+    @property
+    def group(self) -> str:
+        """Text that training runs share if they differ only in the seed."""
+        return repr(replace(self, seed=0))
 
     @property
     def title(self) -> str:

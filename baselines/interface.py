@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
+from caterpillar_env.arguments import ActionMode
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError, check_number
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
@@ -21,7 +22,6 @@ from evolution.priors import make_priors
 from evolution.priors.distributions import Gaussian
 
 GaitPrior = Literal["uniform", "gait"]
-Mode = Literal["timing", "phase", "switch"]
 
 
 class Interface(VecEnvWrapper):
@@ -50,7 +50,7 @@ class Interface(VecEnvWrapper):
         self,
         venv: VecEnv,
         *,
-        mode: Mode,
+        mode: ActionMode,
         prior: GaitPrior = "gait",
         reach: float = 0.3,
         action_repeat: int = 1,
@@ -123,7 +123,7 @@ class Wave(NamedTuple):
     circular: NDArray[np.bool_]  #: entries of the action for which -1 and 1 mean the same
 
 
-def best_wave(physics: Physics, mode: Mode) -> Wave:
+def best_wave(physics: Physics, mode: ActionMode) -> Wave:
     """Return the wave at the peak of the gait's prior, which begins with the first dorsal pair.
 
     Raises:
@@ -142,8 +142,7 @@ def best_wave(physics: Physics, mode: Mode) -> Wave:
                 f"the prior of the gait has no peak for {row.gene.name} with this physics; choose prior "
                 "uniform"
             )
-    _, timings = encoding.decode(np.array([0.5] * len(NAMES) + peaks))
-    wave = GaitTimings(timings.period_s, timings.on_s[0], timings.off_s[0])
+    wave = encoding.robot(np.array([0.5] * len(NAMES) + peaks)).timings
     if mode == "switch":
         zeros = np.zeros(physics.num_springs)
         return Wave(wave.mirrored(), zeros, zeros > 0)

@@ -1,4 +1,4 @@
-"""Policies under friction, springs and slopes that they have not seen: does feedback help?
+"""Policies with new springs, and in part with new friction and slopes: does feedback help?
 
     python -m benchmarks.feedback studies/rl/cells/ppo*/seed-*    # after caterpillar study --preset rl
 
@@ -27,7 +27,7 @@ from caterpillar_env.arrays import Array
 from caterpillar_env.robot import Robot
 from caterpillar_env.task import Failure
 from caterpillar_env.worlds import World
-from evolution.study.statistics import Estimate, a12, bootstrap
+from evolution.study.statistics import Estimate, a12, median
 
 FRICTIONS = (0.4, 0.8, 1.2)
 MISMATCH_SEEDS = (101, 102, 103, 104, 105)
@@ -68,9 +68,8 @@ def compare_policies(folders: Sequence[Path], conditions: Sequence[dict[str, Any
     groups[""] = [hand_made_robot()]
     for folder in folders:
         config, history = Training.read(folder)
-        key = repr(replace(config, seed=0))
-        titles[key] = config.title
-        groups.setdefault(key, []).append(TrainedRobot.load(folder) if history.best else None)
+        titles[config.group] = config.title
+        groups.setdefault(config.group, []).append(TrainedRobot.load(folder) if history.best else None)
     rows: list[dict[str, Any]] = []
     first: Array | None = None
     for key, robots in groups.items():
@@ -98,7 +97,7 @@ def _interval(values: Array) -> dict[str, float]:
     """Return the median and its interval by the bootstrap."""
     if len(values) == 1:
         return Estimate(float(values[0]), float("nan"), float("nan"))._asdict()
-    return bootstrap(lambda sample: float(np.median(sample)), (values,))._asdict()
+    return median(values)._asdict()
 
 
 def main() -> None:

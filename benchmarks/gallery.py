@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -31,14 +31,13 @@ from caterpillar_env.physics import GRAVITY_M_S2, SMA_STEP_S, Physics
 from caterpillar_env.robot import Robot
 from caterpillar_env.sma import SmaSpring, SmaState
 from caterpillar_env.task import EPISODE_S, Crawl, Failure
-from evolution.genome import Encoding
+from caterpillar_env.validation.robots import random_robots
 
 ROOT = Path(__file__).parents[1]
 STUDY = ROOT / "results" / "search"
 OUT = ROOT / "docs" / "images" / "gallery"
 ARM = "ga-uniform"  # of the study; its robots that failed are shown
 WAVE_START_S = 15.0  # start of the gait period that the figure of the wave shows
-_GAIT_PERIOD_S = 5.0
 #: The study has no robots that jumped or diverged. Springs that are much stronger make them diverge
 #: with an explicit integrator. If they are also heated in a fraction of a second, they throw robots up.
 _SPRING = SmaSpring(austenite_stiffness_n_m=1000.0, force_limit_n=20.0)
@@ -90,9 +89,10 @@ def find_failing(shot: Shot) -> Robot:
         LookupError: there is none among the candidates.
     """
     if shot.physics is None:
-        candidates, duration_s = failed_in_study(shot.failure), EPISODE_S
+        candidates: Iterable[Robot] = failed_in_study(shot.failure)
+        duration_s = EPISODE_S
     else:
-        candidates, duration_s = random_robots(shot.physics), 3.0
+        candidates, duration_s = random_robots(100, 0, shot.physics), 3.0
     for robot in candidates:
         if robot.simulate(threads=1, duration_s=duration_s).failure[0] == shot.failure:
             return robot
@@ -111,16 +111,6 @@ def failed_in_study(failure: Failure) -> Iterator[Robot]:
             np.clip([row[f"{pair}_{edge}_s"] for pair in pairs], 0, period_s) for edge in ("on", "off")
         )
         yield Robot(Morphology(*body.tolist()), GaitTimings(period_s, on_s, off_s), winner.physics)
-
-
-def random_robots(physics: Physics) -> Iterator[Robot]:
-    """Yield a hundred random robots, always the same."""
-    encoding = Encoding(physics, _GAIT_PERIOD_S)
-    genomes = np.random.default_rng(0).random((100, len(encoding.genes)))
-    bodies, timings = encoding.decode(genomes)
-    for row, body in enumerate(bodies):
-        gait = GaitTimings(timings.period_s, timings.on_s[row], timings.off_s[row])
-        yield Robot(body, gait, physics)
 
 
 class Period(NamedTuple):

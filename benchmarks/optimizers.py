@@ -36,7 +36,7 @@ from evolution import GaConfig, LocalEvaluator, RunConfig, ShadeConfig, evolve, 
 from evolution.optimizers.base import Optimizer
 from evolution.optimizers.ga import GeneticAlgorithm
 from evolution.priors.distributions import Gaussian, draw
-from evolution.study.statistics import a12, bootstrap, expected_running_time
+from evolution.study.statistics import a12, expected_running_time, median
 
 BUDGET_S = 9000.0
 THRESHOLDS_M = (0.13, 0.2)
@@ -52,7 +52,7 @@ _CREEP_RATE = 0.2  #: probability that a gene creeps
 
 
 class Asked:
-    """Ask/tell interface of a function that minimizes a function of genomes (P, n) -> (P,).
+    """Ask/tell interface to a minimizer that calls a cost function, genomes (P, n) -> costs (P,).
 
     The function runs in a thread of its own, which ends with the process.
     """
@@ -67,7 +67,7 @@ class Asked:
         return self._costs.get()
 
     def ask(self) -> Array:
-        """Return the genomes that the function wants to know, (P, n)."""
+        """Return the genomes whose costs the minimizer asks for, (P, n)."""
         if not self._thread.ident:
             self._thread.start()
         while self._thread.is_alive():
@@ -304,7 +304,7 @@ def summarize(rows: polars.DataFrame, shade: polars.DataFrame) -> dict[str, Any]
     """Return the summary of an optimizer from the rows of its runs and those of SHADE."""
     best_mm = rows["best_mm"].to_numpy()
     summary: dict[str, Any] = {"optimizer": rows["optimizer"][0], "runs": len(rows)}
-    estimates = {"median, mm": (bootstrap(np.median, (best_mm,)), ".0f")}
+    estimates = {"median, mm": (median(best_mm), ".0f")}
     estimates["A12 against shade"] = (a12(best_mm, shade["best_mm"].to_numpy()), ".2f")
     for name, ((value, low, high), form) in estimates.items():
         summary[name] = f"{value:{form}} ({low:{form}} to {high:{form}})"

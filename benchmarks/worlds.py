@@ -37,7 +37,7 @@ from caterpillar_env.worlds import World
 from evolution.study.arms import EvolutionArm
 from evolution.study.config import Cell, load
 from evolution.study.results import read_run
-from evolution.study.statistics import bootstrap, holm
+from evolution.study.statistics import holm, median
 
 WORLDS = (
     "flat", "slope", "slope:direction=down", "slope:direction=across", "steps", "steps:direction=down",
@@ -160,7 +160,7 @@ def _compare_bodies(winners: dict[str, list[Robot]]) -> None:
 
 def _interval(values: Array) -> dict[str, float]:
     """Return the median and its interval by the bootstrap."""
-    estimate = bootstrap(lambda sample: float(np.median(sample)), (values,))
+    estimate = median(values)
     return {"median": estimate.value, "low": estimate.low, "high": estimate.high}
 
 

@@ -168,7 +168,7 @@ class Rough(World):
     """Smooth random bumps: a cubic B-spline through random heights, half a wavelength apart."""
 
     amplitude_m: float = 0.003  #: largest height above or depth below the mean, 0.1 to 10 mm
-    wavelength_m: float = 0.06  #: twice the distance of the random heights, 20 mm to 1 m
+    wavelength_m: float = 0.06  #: twice the distance between random heights, 20 mm to 1 m
     seed: int = 0  #: random seed of the heights
     kind: Literal["rough"] = field(default="rough", kw_only=True)
 

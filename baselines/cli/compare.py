@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -64,7 +64,7 @@ def summarize(trainings: Sequence[Training]) -> list[dict[str, Any]]:
                 f"{training.history.folder} has no evaluation yet; wait for the first one, or remove "
                 "the folder"
             )
-        groups.setdefault(repr(replace(training.config, seed=0)), []).append(training)
+        groups.setdefault(training.config.group, []).append(training)
     rows, titles = [], Counter[str]()
     for members in groups.values():
         title = members[0].config.title

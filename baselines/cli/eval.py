@@ -68,8 +68,10 @@ def eval_command(argv: Sequence[str]) -> int:
         )
     ]
     rows: list[dict[str, Any]] = []
+    fitness_m: list[float] = []
     for variant, episode in product(robots, range(args.episodes)):
         outcome = variant.simulate(args.timestep_s, seed=seed + episode)
+        fitness_m += outcome.fitness().tolist()
         rows.append(
             {
                 "friction": variant.physics.friction,
@@ -91,8 +93,7 @@ def eval_command(argv: Sequence[str]) -> int:
                 f"mismatch seed {row['mismatch_seed']}"
             )
         if len(rows) > 1:
-            fitness = [row["distance_m"] if row["failure"] == "ok" else 0.0 for row in rows]
-            low, median, high = 1000 * np.quantile(fitness, [0.25, 0.5, 0.75])
+            low, median, high = 1000 * np.quantile(fitness_m, [0.25, 0.5, 0.75])
             print(f"median {median:.1f} mm, quartiles {low:.1f} to {high:.1f} (failures count as 0)")
     if args.video:
         recording = Recording(robots[0], timestep_s=args.timestep_s)

@@ -1,4 +1,4 @@
-"""The connection to a Ray cluster, which runs, studies and trainings share, and its evaluator.
+"""Connection to a Ray cluster, for runs and studies, and an evaluator that uses it.
 
 Ray repeats the task of a lost worker or node elsewhere. If the head of the cluster is lost, this module
 raises a `ClusterError` within seconds.
@@ -27,9 +27,8 @@ _CONNECT_TIMEOUT_S = 5.0
 _CHECK_S = 2.0  # between two checks of the head
 _RETRIES = 10  # of a task whose worker was lost
 _LEAST_TASK_S = 0.05  # a shorter task would take as long as Ray needs to start it
-HEAD_TIMEOUT_S = (
-    15.0  #: a head that does not answer for this time is lost; Ray itself would exit after 60 s
-)
+#: A head that does not answer for this time is lost. Ray itself would exit after 60 s.
+HEAD_TIMEOUT_S = 15.0
 CORE_TIMEOUT_S = 600.0  #: time in which a cluster without any core must get one
 
 

@@ -97,7 +97,7 @@ def _finals(config: StudyConfig, runs: Runs) -> list[Finals]:
             Finals(
                 arm=arm,
                 runs=len(values),
-                median_m=statistics.bootstrap(_median, (values,)),
+                median_m=statistics.median(values),
                 best_m=float(values.max()),
                 failed=float(np.mean(failures != "ok")),
                 a12=a12.get(arm),
@@ -105,10 +105,6 @@ def _finals(config: StudyConfig, runs: Runs) -> list[Finals]:
             )
         )
     return rows
-
-
-def _median(values: Array) -> float:
-    return float(np.median(values))
 
 
 def _gains(config: StudyConfig, runs: Runs, generations: int) -> list[Gain]:
@@ -119,12 +115,13 @@ def _gains(config: StudyConfig, runs: Runs, generations: int) -> list[Gain]:
             reached_m[arm] = values[np.isfinite(values)]
 
     def ratio(a: Array, b: Array) -> float:
-        return _median(a) / _median(b) if np.median(b) > 0 else np.inf
+        base = float(np.median(b))
+        return float(np.median(a)) / base if base > 0 else np.inf
 
     ratios = compare(config, reached_m, lambda a, b: statistics.bootstrap(ratio, (a,), (b,)))
     a12 = compare(config, reached_m, statistics.a12)
     return [
-        Gain(arm, len(values), statistics.bootstrap(_median, (values,)), ratios.get(arm), a12.get(arm))
+        Gain(arm, len(values), statistics.median(values), ratios.get(arm), a12.get(arm))
         for arm, values in reached_m.items()
     ]
 

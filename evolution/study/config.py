@@ -49,7 +49,7 @@ class StudyConfig:
     long_seeds: tuple[int, ...] = ()  #: seeds with which the reference runs on, to `long_budget_s`
     long_budget_s: float = 0.0  #: simulated seconds of the reference's longer runs
     reference: str = "ga-uniform"  #: arm that the other arms are compared with
-    references: Mapping[str, str] = field(default_factory=dict)  #: by arm, where it is another
+    references: Mapping[str, str] = field(default_factory=dict)  #: by arm, if not `reference`
     #: Numbers of generations after which arms with the algorithm of `reference` are compared.
     generations: tuple[int, ...] = (50,)
     #: Thresholds in m. By default, the median distance of the reference after each of `generations`.
@@ -141,7 +141,7 @@ class StudyConfig:
         return self.long_budget_s if is_long else self.budget_s
 
     def reference_of(self, arm: str) -> str:
-        """Return the arm that an arm is compared with; itself for other references."""
+        """Return the reference of an arm, or the arm itself if it is another reference."""
         return self.references.get(arm, arm if arm in self.references.values() else self.reference)
 
     def comparable(self) -> list[str]:

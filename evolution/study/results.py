@@ -75,7 +75,7 @@ def read_kept(folder: Path) -> dict[Cell, polars.DataFrame]:
 def read_all(config: StudyConfig, folder: Path) -> dict[Cell, polars.DataFrame]:
     """Return the evaluations of all runs that have begun, from their folders or the file `DATA`.
 
-    Of a run that is in both, the longer record counts. Only completed generations are included.
+    If a run is in both, the longer record counts. Only completed generations are included.
     """
     kept, found = read_kept(folder), {}
     for cell in config.cells():
@@ -98,7 +98,7 @@ def is_finished(config: StudyConfig, cell: Cell, rows: polars.DataFrame | None) 
 
 
 def collect(config: StudyConfig, folder: Path) -> Results:
-    """Read all runs of a study, write their evaluations into the file `DATA`, and return the finished.
+    """Read all runs of a study, write their evaluations into `DATA`, and return those of finished runs.
 
     Runs whose folders were deleted are taken from this file if an earlier call wrote it. The file also
     has the completed generations of unfinished runs, which `run_study` continues.

@@ -123,6 +123,11 @@ def bootstrap(statistic: Callable[..., float], *groups: tuple[NDArray[Any], ...]
     return Estimate(value, float(low), float(high))
 
 
+def median(values: Array) -> Estimate:
+    """Estimate the median."""
+    return bootstrap(lambda sample: float(np.median(sample)), (values,))
+
+
 def a12(a: Array, b: Array) -> Estimate:
     """Estimate the probability that a run of `a` is better than one of `b` (Vargha and Delaney 2000).
 

@@ -9,7 +9,7 @@ import pytest
 
 from baselines.arms import TrainArm
 from baselines.config import AlgorithmName, Design, TrainConfig, make_configuration
-from baselines.interface import Mode
+from caterpillar_env.arguments import ActionMode
 from caterpillar_env.errors import CaterpillarError
 from evolution.run.evaluators import LocalEvaluator
 from evolution.run.history import History
@@ -143,7 +143,7 @@ def test_invalid_arm_is_rejected(arm, message):
 def test_preset_covers_all_algorithms_and_designs():
     arms = preset("rl").arms
     trainings = {name: arm.config for name, arm in arms.items() if isinstance(arm, TrainArm)}
-    for field, kind in (("algorithm", AlgorithmName), ("mode", Mode), ("design", Design)):
+    for field, kind in (("algorithm", AlgorithmName), ("mode", ActionMode), ("design", Design)):
         assert {getattr(config, field) for config in trainings.values()} == set(get_args(kind))
     for name in ("ppo", "td3", "ppo-switch"):
         assert trainings[f"{name}-uniform"] == replace(trainings[name], prior="uniform")
