@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -46,17 +45,16 @@ class CoDesign(BaseCallback):
         )
         self._robots, self._share_spent = robots, share_spent
         self._genomes = np.empty((0, len(NAMES)))
-        self._first_m: list[float | None] = []  # distance of each robot's first episode, until frozen
+        self._first_m = np.empty(0)  # distance of each robot's first episode, NaN before its end
         self._frozen = False
         self._told: list[Array] = []  # the fitness of all bodies so far, by generation
 
     def state(self) -> dict[str, Any]:
         """Return what `restore` needs, between two rollouts."""
-        first_m = [np.nan if m is None else m for m in self._first_m]
         told = [torch.from_numpy(fitness) for fitness in self._told]
         return {
             "told": told,
-            "first_m": torch.tensor(first_m, dtype=torch.float64),
+            "first_m": torch.from_numpy(self._first_m.copy()),
             "frozen": self._frozen,
         }
 
@@ -64,8 +62,8 @@ class CoDesign(BaseCallback):
         """Continue from a state. CMA-ES is replayed."""
         for fitness in state["told"]:
             self._tell(self.optimizer.ask(), fitness.numpy())
-        self._first_m = [None if math.isnan(m) else m for m in state["first_m"].tolist()]
-        if self._first_m:
+        self._first_m = state["first_m"].numpy()
+        if self._first_m.size:
             self._genomes = self.optimizer.ask()
         self._frozen = state["frozen"]
         if self._frozen:
@@ -93,10 +91,10 @@ class CoDesign(BaseCallback):
                 f"n_steps = {model.n_steps} must be {steps}, the steps of one episode of "
                 f"{self._robots.vector_env.episode_s:g} s, for co-design"
             )
-        if self._first_m:
-            first_m = np.maximum(np.array(self._first_m, dtype=float), 0.0)
+        if self._first_m.size:
+            first_m = np.maximum(self._first_m, 0.0)
             self._tell(self._genomes, first_m.reshape(POPULATION, -1).mean(axis=1))
-            self._first_m = []
+            self._first_m = np.empty(0)
         if self._frozen:
             return
         count = self._robots.num_envs
@@ -107,14 +105,14 @@ class CoDesign(BaseCallback):
             self._genomes = self.optimizer.ask()
             genomes = np.repeat(self._genomes, count // POPULATION, axis=0)
             bodies = [Morphology.from_unit(genome) for genome in genomes]
-            self._first_m = [None] * count
+            self._first_m = np.full(count, np.nan)
         self.training_env.set_options({"morphology": bodies})
         model._last_obs = self.training_env.reset()
         model._last_episode_starts = np.ones(count, dtype=bool)
 
     def _on_step(self) -> bool:
-        for row, first_m in enumerate(self._first_m):
-            if first_m is None and self.locals["dones"][row]:
+        if self._first_m.size:
+            for row in np.flatnonzero(np.isnan(self._first_m) & self.locals["dones"]):
                 info = self.locals["infos"][row]
                 self._first_m[row] = info["distance"] if info["failure"] == Failure.NONE else 0.0
         return True
