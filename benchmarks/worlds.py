@@ -2,7 +2,7 @@
 
     python -m benchmarks.worlds scores                 # about five minutes on two cores
     python -m benchmarks.worlds costs                  # about two minutes
-    python -m benchmarks.worlds matrix studies/worlds  # after caterpillar study --preset worlds
+    python -m benchmarks.worlds matrix results/worlds  # three minutes, or of another study in worlds
 
 Distances are those in 30 s. Robots that fail count as 0.
 """
@@ -10,6 +10,7 @@ Distances are those in 30 s. Robots that fail count as 0.
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -25,8 +26,8 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
 from caterpillar_env.morphology import NAMES, Morphology, segments_of
 from caterpillar_env.physics import SMA_STEP_S, Physics
-from caterpillar_env.robot import Robot, simulate
-from caterpillar_env.task import Crawl
+from caterpillar_env.robot import Outcomes, Robot, simulate
+from caterpillar_env.task import Crawl, Failure
 from caterpillar_env.validation.robots import (
     evolved_robots,
     random_robots,
@@ -36,8 +37,9 @@ from caterpillar_env.validation.robots import (
 from caterpillar_env.worlds import World
 from evolution.study.arms import EvolutionArm
 from evolution.study.config import Cell, load
-from evolution.study.results import read_run
+from evolution.study.results import collect, read_runs
 from evolution.study.statistics import holm, median
+from evolution.study.winners import load_winner, save_winner
 
 WORLDS = (
     "flat", "slope", "slope:direction=down", "slope:direction=across", "steps", "steps:direction=down",
@@ -52,10 +54,14 @@ def hand_made_robot() -> Robot:
     return Robot(Morphology(), GaitTimings(GAIT_PERIOD_S, on_s, off_s), Physics())
 
 
+def crawl(robots: Sequence[Robot], world: World) -> Outcomes:
+    """Simulate robots in a world."""
+    return simulate(*stack_robots(robots), replace(robots[0].physics, world=world))
+
+
 def fitness_mm(robots: Sequence[Robot], world: World) -> Array:
     """Return the distances of robots in a world, mm, (robots,)."""
-    physics = replace(robots[0].physics, world=world)
-    return 1000 * simulate(*stack_robots(robots), physics).fitness()
+    return 1000 * crawl(robots, world).fitness()
 
 
 def compare_scores(count: int, worlds: Sequence[str] = WORLDS) -> None:
@@ -106,16 +112,16 @@ def compare_costs(count: int, repeats: int, worlds: Sequence[str] = WORLDS) -> N
 def compare_winners(folder: Path) -> None:
     """Print the distances of the best robot of every run of a study in the world of every arm.
 
-    Random worlds are also tested with another seed. A second table has the bodies of these robots.
+    Random worlds are also tested with another seed. Further tables have the failures of these robots and
+    their bodies.
     """
     config = load(folder)
     winners: dict[str, list[Robot]] = {}
-    for name in config.arms:
-        for seed in config.seeds:
-            history = read_run(config, Cell(name, seed), folder)
-            if history is None or not history.finished:
-                continue
-            if (robot := history.best_robot) is not None:
+    for name, runs in read_runs(collect(config, folder).table, config).items():
+        for run in runs:
+            robot = load_winner(config, folder, name, run) if run.best_m[-1] > 0 else None
+            if isinstance(robot, Robot):
+                save_winner(robot, folder, Cell(name, run.seed))
                 winners.setdefault(name, []).append(robot)
     if not winners:
         raise CaterpillarError(f"no run of {folder} is finished; continue with caterpillar study")
@@ -124,13 +130,19 @@ def compare_winners(folder: Path) -> None:
         replace(world, seed=world.seed + 1000)  # type: ignore[call-arg]
         for world in worlds if hasattr(world, "seed")
     ]  # fmt: skip
-    rows = []
+    distances, failures = [], []
     for name, robots in winners.items():
-        row: dict[str, Any] = {"evolved on": name, "robots": len(robots)}
+        distance: dict[str, Any] = {"evolved on": name, "robots": len(robots)}
+        failed = dict(distance)
         for world in dict.fromkeys(worlds):
-            row[str(world)] = _interval(fitness_mm(robots, world))
-        rows.append(row)
-    report("median distance in mm, with its 95 % interval", rows)
+            outcomes = crawl(robots, world)
+            distance[str(world)] = _interval(1000 * outcomes.fitness())
+            kinds = Counter(Failure(code).label for code in outcomes.failure if code != Failure.NONE)
+            failed[str(world)] = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
+        distances.append(distance)
+        failures.append(failed)
+    report("median distance in mm, with its 95 % interval", distances)
+    report("robots that failed", failures)
     _compare_bodies(winners)
 
 

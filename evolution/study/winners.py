@@ -18,7 +18,7 @@ from caterpillar_env.task import Failure
 from caterpillar_env.validation.gaits import Gait, measure_gait
 from caterpillar_env.validation.robots import stack_robots
 from evolution.study.analysis import Analysis
-from evolution.study.config import Cell
+from evolution.study.config import Cell, StudyConfig
 from evolution.study.results import Run, read_kept
 
 FINE = "0.25 ms"
@@ -140,7 +140,7 @@ def _is_complete(row: _Row) -> bool:
 
 def _judge_best(analysis: Analysis, folder: Path, run: Run, row: _Row) -> bool:
     """Simulate the best robot of an arm at the reference timestep; return whether the row changed."""
-    robot = None if FINE in row["references"] else _load(analysis, folder, row["arm"], run)
+    robot = None if FINE in row["references"] else load_winner(analysis.config, folder, row["arm"], run)
     if robot is None:
         return False
     path = folder / "winners" / f"{row['arm']}.json"
@@ -157,12 +157,10 @@ def _judge_all(analysis: Analysis, folder: Path, rows: dict[_Key, _Row], runs: d
     for key, row in rows.items():
         if _is_complete(row):
             continue
-        robot = _load(analysis, folder, key[0], runs[key])
+        robot = load_winner(analysis.config, folder, key[0], runs[key])
         if isinstance(robot, Robot):
             robots[key] = robot
-            path = folder / "winners" / key[0] / f"seed-{key[1]}.json"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            robot.save(path)
+            save_winner(robot, folder, Cell(key[0], key[1]))
     for name, changes in CONDITIONS.items():
         keys = [key for key in robots if name not in rows[key]["references"]]
         if keys:
@@ -175,10 +173,21 @@ def _judge_all(analysis: Analysis, folder: Path, rows: dict[_Key, _Row], runs: d
     return bool(robots)
 
 
-def _load(analysis: Analysis, folder: Path, arm: str, run: Run) -> AnyRobot | None:
+def save_winner(robot: Robot, folder: Path, cell: Cell) -> None:
+    """Write the best robot of a run into the folder of the study."""
+    path = _file_of(folder, cell)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    robot.save(path)
+
+
+def _file_of(folder: Path, cell: Cell) -> Path:
+    return folder / "winners" / cell.arm / f"seed-{cell.seed}.json"
+
+
+def load_winner(config: StudyConfig, folder: Path, arm: str, run: Run) -> AnyRobot | None:
     """Return the best robot of a run within the budget, or None if it cannot be made again."""
-    config, cell, best_m = analysis.config, Cell(arm, run.seed), float(run.best_m[-1])
-    file = folder / "winners" / arm / f"seed-{run.seed}.json"
+    cell, best_m = Cell(arm, run.seed), float(run.best_m[-1])
+    file = _file_of(folder, cell)
     if file.exists() and (robot := Robot.load(file)).fitness_m == best_m:
         return robot
     number = int(run.best_m.argmax())

@@ -23,7 +23,12 @@ def test_winners_are_tested_in_the_world_of_every_arm(tmp_path, capsys):
     begin(config, tmp_path)
     assert not run_study(config, tmp_path, Processes(2), lambda ended, share: None)
     worlds.compare_winners(tmp_path)
-    matrix, bodies = (json.loads(line)["rows"] for line in capsys.readouterr().out.splitlines())
+    lines = capsys.readouterr().out.splitlines()
+    matrix, failures, bodies = (json.loads(line)["rows"] for line in lines)
+    for row, failed in zip(matrix, failures, strict=True):
+        assert list(row) == list(failed)
+        # Each arm has two robots: if both failed, the median is 0.
+        assert all(row[w]["median"] == 0 for w in list(row)[2:] if failed[w].startswith("2 "))
     assert [row["evolved on"] for row in matrix] == ["flat", "rough"]
     for row in matrix:
         assert list(row)[2:] == ["flat", "rough", "rough:seed=1000"]
