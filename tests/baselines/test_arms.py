@@ -1,6 +1,5 @@
 """Reinforcement learning as an arm of a study, next to a genetic algorithm."""
 
-import shutil
 from dataclasses import replace
 from typing import get_args
 
@@ -9,6 +8,7 @@ import pytest
 
 from baselines.arms import TrainArm
 from baselines.config import AlgorithmName, Design, TrainConfig, make_configuration
+from baselines.training import train
 from caterpillar_env.arguments import ActionMode
 from caterpillar_env.errors import CaterpillarError
 from evolution.run.evaluators import LocalEvaluator
@@ -29,7 +29,7 @@ prior = "uniform"
 population = 4
 hall_of_fame = 1
 [base.physics]
-num_segments = 2
+num_segments = 3
 timestep_s = 0.01
 
 [arms.ga]
@@ -70,15 +70,17 @@ def test_report_describes_both_arms(finished):
 @pytest.mark.slow
 def test_run_resumes_an_interrupted_training(finished, tmp_path):
     arm, run = load(finished).arms["ppo"], tmp_path / "cell"
-    shutil.copytree(Cell("ppo", 0).folder(finished), run)
-    with Journal(run) as journal:
-        journal.begin()  # a session without an end
-    before = History.read(run)
-    assert not before.finished
+
+    def stop(history):
+        raise KeyboardInterrupt
+
+    train(replace(arm.config, budget_s=300), run, on_evaluation=stop)
+    assert not History.read(run).finished
     assert arm.run(run, 0, 300, LocalEvaluator(1))
-    again = History.read(run)
+    again, whole = History.read(run), History.read(Cell("ppo", 0).folder(finished))
     assert again.finished
-    assert [e.distance_m for e in again.evaluations] == [e.distance_m for e in before.evaluations]
+    assert [e[3:7] for e in again.evaluations] == [e[3:7] for e in whole.evaluations]
+    assert len(again.sessions) == 2
 
 
 def test_training_matches_its_settings_and_hyperparameters_only(tmp_path):

@@ -36,6 +36,7 @@ def test_conditions_are_all_combinations():
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_policies_are_compared_by_their_mean_over_the_conditions(folders, capsys):
     conditions = feedback.make_conditions((0.5, 1.0), (7,), ("flat",))
     feedback.compare_policies(folders, conditions)
