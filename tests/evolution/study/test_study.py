@@ -207,7 +207,8 @@ def test_cells_on_ray_give_the_same_bits(uninterrupted, tmp_path):
     ray = pytest.importorskip("ray")
     config, finished = uninterrupted
     begin(config, tmp_path)
-    with ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="ERROR"):
+    own = {"address": "local", "num_cpus": 2, "include_dashboard": False}  # not that of another test
+    with ray.init(**own, log_to_driver=False, logging_level="ERROR"):
         assert run_study(config, tmp_path, RayTasks()) == []
         assert collect(config, tmp_path).table.equals(collect(config, finished).table)
         last = config.cells()[-1].folder(tmp_path)
