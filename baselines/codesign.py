@@ -47,21 +47,21 @@ class CoDesign(BaseCallback):
         self._genomes = np.empty((0, len(NAMES)))
         self._first_m = np.empty(0)  # distance of each robot's first episode, NaN before its end
         self._frozen = False
-        self._told: list[Array] = []  # the fitness of all bodies so far, by generation
+        self._fitness: list[Array] = []  # the fitness of all bodies so far, by generation
 
     def state(self) -> dict[str, Any]:
         """Return what `restore` needs, between two rollouts."""
-        told = [torch.from_numpy(fitness) for fitness in self._told]
+        learned = [torch.from_numpy(fitness) for fitness in self._fitness]
         return {
-            "told": told,
+            "fitness": learned,
             "first_m": torch.from_numpy(self._first_m.copy()),
             "frozen": self._frozen,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a state. CMA-ES is replayed."""
-        for fitness in state["told"]:
-            self._tell(self.optimizer.ask(), fitness.numpy())
+        for fitness in state["fitness"]:
+            self._learn(self.optimizer.ask(), fitness.numpy())
         self._first_m = state["first_m"].numpy()
         if self._first_m.size:
             self._genomes = self.optimizer.ask()
@@ -69,9 +69,9 @@ class CoDesign(BaseCallback):
         if self._frozen:
             self._robots.set_options({"morphology": [self.mean_body] * self._robots.num_envs})
 
-    def _tell(self, genomes: Array, fitness: Array) -> None:
+    def _learn(self, genomes: Array, fitness: Array) -> None:
         self.optimizer.tell(genomes, fitness)
-        self._told.append(fitness)
+        self._fitness.append(fitness)
 
     @property
     def mean_genome(self) -> Array:
@@ -93,7 +93,7 @@ class CoDesign(BaseCallback):
             )
         if self._first_m.size:
             first_m = np.maximum(self._first_m, 0.0)
-            self._tell(self._genomes, first_m.reshape(POPULATION, -1).mean(axis=1))
+            self._learn(self._genomes, first_m.reshape(POPULATION, -1).mean(axis=1))
             self._first_m = np.empty(0)
         if self._frozen:
             return
