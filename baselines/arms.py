@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import polars
 
-from baselines.config import TrainConfig, make_configuration
+from baselines.config import TrainConfig, is_same
 from baselines.policy import TrainedRobot
 from baselines.training import resume, train
 from caterpillar_env.errors import CaterpillarError
@@ -58,8 +58,7 @@ class TrainArm:
 
     def matches(self, history: History, seed: int, budget_s: float) -> bool:
         """Return whether a recorded run has the settings and hyperparameters of this arm."""
-        expected = make_configuration(self._configure(seed, budget_s))
-        return history.configuration == expected
+        return is_same(history.configuration, self._configure(seed, budget_s))
 
     def restore(self, rows: polars.DataFrame, folder: Path, seed: int, budget_s: float) -> None:
         """Raise an error: the evaluations of a training run do not contain its policies."""

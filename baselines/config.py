@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ import yaml
 
 from baselines.interface import GaitPrior
 from caterpillar_env.arguments import ActionMode
-from caterpillar_env.errors import CaterpillarError, check_fields, from_mapping
+from caterpillar_env.errors import CaterpillarError, check_fields, check_number, from_mapping
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
@@ -53,6 +54,9 @@ class TrainConfig:
     #: domain randomization during training: NAME LOW HIGH for each of friction, mismatch_std,
     #: spring_force, mass or ambient_c, sampled uniformly at every reset
     randomize: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    #: hyperparameters that differ from those of the algorithm's file, as NAME=VALUE with dots for nested
+    #: names, such as policy_kwargs.log_std_init=-2
+    override: tuple[str, ...] = ()
     physics: Physics = field(default_factory=Physics)
 
     def __post_init__(self) -> None:
@@ -118,6 +122,7 @@ class TrainConfig:
             words.append("given body")
         if self.randomize:
             words.append("randomized")
+        words += self.override
         return " ".join(words)
 
     def env_kwargs(self) -> dict[str, Any]:
@@ -137,10 +142,11 @@ class Hyperparameters(NamedTuple):
 
 
 def hyperparameters(config: TrainConfig) -> Hyperparameters:
-    """Read `hyperparams/ALGORITHM.yml`, and adapt it to bandits and co-design.
+    """Read `hyperparams/ALGORITHM.yml`, override values, and adapt it to bandits and co-design.
 
     Raises:
-        CaterpillarError: the algorithm does not support the environment's action space.
+        CaterpillarError: the algorithm does not support the environment's action space, or an override
+            is invalid.
     """
     path = HYPERPARAMETERS / f"{config.algorithm}.yml"
     table = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -151,11 +157,14 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
         )
     model: dict[str, Any] = table[config.env_id]
     model.pop("n_timesteps")  # only rl_zoo3 uses it; here the budget ends the training
-    n_envs = model.pop("n_envs", 1)
-    env_kwargs = model.pop("env_kwargs", {})
+    env_kwargs, callback = model.pop("env_kwargs", {}), model.pop("callback", [])
     ((_, interface),) = model.pop("vec_env_wrapper")[0].items()
+    model["interface"] = {"observe": None} | {k: v for k, v in interface.items() if k == "reach"}
+    for entry in config.override:
+        _override(model, entry)
+    interface |= {name: value for name, value in model.pop("interface").items() if value is not None}
     interface |= {"mode": config.mode, "prior": config.prior}
-    callback = model.pop("callback", [])
+    n_envs = model.pop("n_envs", 1)
     if config.prior == "uniform":
         callback = []  # they let a policy begin with the gait of the prior
     if config.design != "fixed":
@@ -170,12 +179,54 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
     return Hyperparameters(n_envs, env_kwargs, interface, callback, model)
 
 
+def _override(values: dict[str, Any], entry: str) -> None:
+    """Replace a number or a list in a table by the value of a text NAME=VALUE."""
+    name, _, text = entry.partition("=")
+    *tables, last = name.split(".")
+    for table in tables:
+        values = values[table] if isinstance(values.get(table), dict) else {}
+    old = values.get(last)
+    if last not in values or isinstance(old, (dict, str)):
+        names = ", ".join(k for k, v in values.items() if not isinstance(v, str))
+        names = names or "those in baselines/hyperparams"
+        raise CaterpillarError(f"override {entry!r} must be NAME=VALUE, where NAME is one of: {names}")
+    try:
+        new = json.loads(text)
+    except json.JSONDecodeError:
+        new = text
+    if isinstance(old, (int, float)):
+        whole = isinstance(old, int)
+        new = check_number(f"override {name}", new, min(old, 1) if whole else -math.inf, whole=whole)
+    else:
+        example = ["temperature", "height"] if old is None else old
+        if not isinstance(new, list) or any(type(entry) is not type(example[0]) for entry in new):
+            raise CaterpillarError(f"override {name} = {text} must be a list like {json.dumps(example)}")
+    values[last] = new
+
+
 def make_configuration(config: TrainConfig) -> dict[str, Any]:
     """Return the configuration that the journal of a training run stores."""
     settings = {"kind": "training", **config.to_dict()}
     settings["hyperparameters"] = hyperparameters(config)._asdict()
     plain: dict[str, Any] = json.loads(json.dumps(settings))  # as read from a journal: lists, no tuples
     return plain
+
+
+def is_same(configuration: Mapping[str, Any], config: TrainConfig) -> bool:
+    """Return whether a journal has the settings of a training run and the present hyperparameters."""
+    try:
+        recorded = _read_settings(configuration)
+    except CaterpillarError:
+        return False
+    expected = make_configuration(config)["hyperparameters"]
+    return recorded == config and configuration.get("hyperparameters") == expected
+
+
+def _read_settings(configuration: Mapping[str, Any]) -> TrainConfig:
+    names = ("kind", "hyperparameters")
+    # Earlier versions had no prior.
+    data = {"prior": "uniform"} | {k: v for k, v in configuration.items() if k not in names}
+    return TrainConfig.from_dict(data)
 
 
 def is_evaluated_as_recorded(configuration: Mapping[str, Any], config: TrainConfig) -> bool:
@@ -221,11 +272,8 @@ class Training(NamedTuple):
             raise CaterpillarError(
                 f"{folder} contains an evolutionary run; give a folder that caterpillar rl train made"
             )
-        names = ("kind", "hyperparameters")
-        # Earlier versions had no prior.
-        data = {"prior": "uniform"} | {k: v for k, v in history.configuration.items() if k not in names}
         try:
-            return cls(TrainConfig.from_dict(data), history)
+            return cls(_read_settings(history.configuration), history)
         except CaterpillarError as error:
             raise CaterpillarError(
                 f"{folder}: {error}. If an earlier version of this package trained it, use that version"

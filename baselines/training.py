@@ -14,7 +14,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from baselines import checkpoint
 from baselines.codesign import CoDesign
-from baselines.config import TrainConfig, Training, hyperparameters, make_configuration
+from baselines.config import TrainConfig, Training, hyperparameters, is_same, make_configuration
 from baselines.policy import Policy, make_env, make_model, make_training_env
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.errors import CaterpillarError
@@ -89,7 +89,7 @@ def resume(
     config, known = recorded
     if known.finished:
         return recorded
-    if known.configuration != make_configuration(config):
+    if not is_same(known.configuration, config):
         raise CaterpillarError(
             f"{folder} was trained with other hyperparameters than those in baselines/hyperparams; use "
             "the version of this package that began it, or train again in another folder"

@@ -18,7 +18,7 @@ from evolution.study.cells import Processes, RayTasks, run_study
 from evolution.study.config import begin, preset, read_toml
 from evolution.study.results import collect
 
-Preset = Literal["paper", "ablation", "search", "conjecture", "rl", "worlds", "pilot"]
+Preset = Literal["paper", "ablation", "search", "conjecture", "rl", "rl-ablation", "worlds", "pilot"]
 
 
 @dataclass(frozen=True)

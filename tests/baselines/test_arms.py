@@ -142,13 +142,32 @@ def test_invalid_arm_is_rejected(arm, message):
     assert message in str(caught.value)
 
 
-def test_preset_covers_all_algorithms_and_designs():
-    arms = preset("rl").arms
-    trainings = {name: arm.config for name, arm in arms.items() if isinstance(arm, TrainArm)}
+def trainings(name):
+    arms = preset(name).arms
+    return {name: arm.config for name, arm in arms.items() if isinstance(arm, TrainArm)}
+
+
+def test_ablation_covers_all_algorithms_modes_and_designs():
+    arms = trainings("rl-ablation")
     for field, kind in (("algorithm", AlgorithmName), ("mode", ActionMode), ("design", Design)):
-        assert {getattr(config, field) for config in trainings.values()} == set(get_args(kind))
+        assert {getattr(config, field) for config in arms.values()} == set(get_args(kind))
     for name in ("ppo", "td3", "ppo-switch"):
-        assert trainings[f"{name}-uniform"] == replace(trainings[name], prior="uniform")
-    for name in ("ppo", "td3"):
-        assert trainings[f"{name}-bandit"] == replace(trainings[name], open_loop=True)
-    assert {"shade", "ga-uniform", "ga-body", "random"} == set(arms) - set(trainings)
+        assert arms[f"{name}-uniform"] == replace(arms[name], prior="uniform")
+
+
+def test_arms_of_the_ablation_differ_from_their_reference_in_one_choice():
+    config, arms = preset("rl-ablation"), trainings("rl-ablation")
+    defaults = TrainConfig().to_dict()
+    for name, arm in arms.items():
+        settings, reference = arm.to_dict(), arms[config.reference_of(name)].to_dict()
+        changed = {field for field in defaults if settings[field] != reference[field]}
+        assert len(changed) == (name != "ppo") + (name == "ppo-codesign-uniform")
+
+
+def test_comparison_has_each_learner_of_the_ablation_that_it_shares_with_it():
+    ablation, arms = trainings("rl-ablation"), trainings("rl")
+    for name in ("ppo", "td3", "ppo-codesign"):
+        assert arms[name] == ablation[name]
+    assert arms["ppo-bandit"] == replace(arms["ppo"], open_loop=True)
+    assert arms["ppo-bandit-randomized"] == replace(arms["ppo-randomized"], open_loop=True)
+    assert {"shade", "ga-uniform", "ga-body", "random"} == set(preset("rl").arms) - set(arms)

@@ -46,7 +46,7 @@ def test_invalid_settings_are_rejected(fields, message):
 def test_configuration_round_trips_through_json():
     config = TrainConfig(
         "ppo", "timing", seed=3, randomize={"friction": (0.5, 1.0)},
-        morphology=Morphology(leg_separation_m=0.02),
+        morphology=Morphology(leg_separation_m=0.02), override=("gamma=0.9",),
     )  # fmt: skip
     assert TrainConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
     assert TrainConfig.from_dict({"mode": "timing"}) == TrainConfig(mode="timing")
@@ -97,6 +97,42 @@ def test_policies_without_the_prior_begin_as_those_of_stable_baselines3():
         assert not hyperparameters(replace(config, prior="uniform")).callback
 
 
+def test_overrides_replace_single_hyperparameters():
+    default = hyperparameters(TrainConfig())
+    names = ("n_envs=8", "learning_rate=3e-4", "policy_kwargs.net_arch=[32]", "interface.reach=0.2")
+    found = hyperparameters(TrainConfig(override=(*names, 'interface.observe=["height"]')))
+    assert found.n_envs == 8
+    assert found.model["learning_rate"] == 3e-4
+    assert found.model["policy_kwargs"] == {"log_std_init": -2.5, "net_arch": [32]}
+    assert found.interface == default.interface | {"reach": 0.2, "observe": ["height"]}
+    assert found.model.keys() == default.model.keys()
+
+
+@pytest.mark.parametrize(
+    ("mode", "entry", "message"),
+    [
+        ("phase", "", "override '' must be NAME=VALUE, where NAME is one of: n_envs, n_steps"),
+        ("phase", "luck=1", "where NAME is one of: n_envs, n_steps"),
+        ("phase", "luck.x=1", "where NAME is one of: those in baselines/hyperparams"),
+        ("phase", "policy_kwargs=1", "must be NAME=VALUE"),
+        ("phase", "policy_kwargs.luck=1", "where NAME is one of: log_std_init, net_arch"),
+        ("phase", "policy=CnnPolicy", "must be NAME=VALUE"),
+        ("phase", "n_envs", "override n_envs = '' must be an integer from 1"),
+        ("phase", "n_envs=0", "override n_envs = 0 must be an integer from 1"),
+        ("phase", "gamma=high", "override gamma = 'high' must be a finite number"),
+        ("phase", "gamma=NaN", "override gamma = nan must be a finite number"),
+        ("phase", "policy_kwargs.net_arch=[0.5]", r"must be a list like \[64, 64\]"),
+        ("phase", "interface.observe=height", "must be a list like"),
+        ("switch", "interface.reach=0.1", "must be NAME=VALUE"),
+        ("switch", "env_kwargs.action_repeat=1", "must be NAME=VALUE"),
+    ],
+    ids=str,
+)
+def test_invalid_overrides_are_rejected(mode, entry, message):
+    with pytest.raises(CaterpillarError, match=message):
+        TrainConfig(mode=mode, override=(entry,))
+
+
 @pytest.mark.parametrize(
     ("fields", "title"),
     [
@@ -105,6 +141,7 @@ def test_policies_without_the_prior_begin_as_those_of_stable_baselines3():
         ({"morphology": Morphology(leg_separation_m=0.02)}, "ppo phase given body"),
         ({"randomize": {"mass": (0.9, 1.1)}}, "ppo phase randomized"),
         ({"algorithm": "td3", "prior": "uniform"}, "td3 phase without prior"),
+        ({"override": ("gamma=0.9",)}, "ppo phase gamma=0.9"),
     ],
     ids=str,
 )
