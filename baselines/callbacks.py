@@ -1,14 +1,26 @@
-"""Training callbacks for the `callback` entry of rl_zoo3 hyperparameter files."""
+"""Training callbacks, for example for the `callback` entry of rl_zoo3 hyperparameter files."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
 from caterpillar_env.errors import CaterpillarError
+
+
+def restart(model: BaseAlgorithm) -> None:
+    """Reset the robots of an algorithm between two rollouts, and tell the algorithm.
+
+    stable-baselines3 has no method for this; `learn` sets these attributes when it begins.
+    """
+    env, learner = model.get_env(), cast(Any, model)
+    assert env is not None
+    learner._last_obs = env.reset()
+    learner._last_episode_starts = np.ones(env.num_envs, dtype=bool)
 
 
 class ZeroActions(BaseCallback):

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
+from baselines.callbacks import restart
 from baselines.config import POPULATION, TrainConfig
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.arrays import Array
@@ -107,8 +108,7 @@ class CoDesign(BaseCallback):
             bodies = [Morphology.from_unit(genome) for genome in genomes]
             self._first_m = np.full(count, np.nan)
         self.training_env.set_options({"morphology": bodies})
-        model._last_obs = self.training_env.reset()
-        model._last_episode_starts = np.ones(count, dtype=bool)
+        restart(self.model)
 
     def _on_step(self) -> bool:
         if self._first_m.size:

@@ -13,6 +13,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
 from baselines import checkpoint
+from baselines.callbacks import restart
 from baselines.codesign import CoDesign
 from baselines.config import TrainConfig, Training, hyperparameters, is_same, make_configuration
 from baselines.policy import Policy, make_env, make_model, make_training_env
@@ -199,13 +200,11 @@ class _Recorder(BaseCallback):
             return
         self._restored = False
         # The rest of the run depends on the checkpoint and on the number of the evaluation only.
-        model: Any = self.model
         seeds = np.random.SeedSequence([self.config.seed, len(self.history.generations)])
         seed, *row_seeds = seeds.generate_state(1 + self.robots.num_envs).tolist()
-        model.set_random_seed(seed)
+        self.model.set_random_seed(seed)
         self.robots.seed_rows(row_seeds)  # by default row i gets seed + i, and seeds share rows
-        model._last_obs = self.training_env.reset()
-        model._last_episode_starts = np.ones(self.robots.num_envs, dtype=bool)
+        restart(self.model)
 
     def _on_step(self) -> bool:
         if self._on_progress is not None:

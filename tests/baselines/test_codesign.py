@@ -71,6 +71,8 @@ def test_policy_is_evaluated_in_the_current_body(trained):
 class Env:
     """Fake training environment that stores the bodies."""
 
+    num_envs = 16
+
     def set_options(self, options):
         self.bodies = options["morphology"]
 
