@@ -75,7 +75,7 @@ def write_report(folder: Path, *, all_winners: bool = False) -> None:
     """Write the report of a study, and print its results."""
     from evolution.study import report
     from evolution.study.analysis import analyse, summarize
-    from evolution.study.winners import judge_winners
+    from evolution.study.winners import retest_winners
 
     config = load(folder)
     results = collect(config, folder)
@@ -85,10 +85,10 @@ def write_report(folder: Path, *, all_winners: bool = False) -> None:
             f"runs {folder}"
         )
     analysis = analyse(config, results)
-    judgement = judge_winners(analysis, folder, every_run=all_winners)
-    page = report.write(analysis, judgement, folder)
+    retest = retest_winners(analysis, folder, every_run=all_winners)
+    page = report.write(analysis, retest, folder)
     print("\n".join(summarize(analysis)))
-    for row in judgement.comparisons:
+    for row in retest.comparisons:
         print(
             f"{row.arm}, {row.condition}: {row.failed} of {row.robots} winners fail; the others crawl "
             f"{100 * row.median_share:.0f} % of their distance (median; {100 * row.smallest_share:.0f} "

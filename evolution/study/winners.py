@@ -85,7 +85,7 @@ class Crawling(NamedTuple):
     high: float  #: third quartile
 
 
-class Judgement(NamedTuple):
+class Retest(NamedTuple):
     """Results of the best robots of a study."""
 
     winners: list[Winner]  #: the best robot of each arm
@@ -93,7 +93,7 @@ class Judgement(NamedTuple):
     crawling: list[Crawling]  #: of the same robots
 
 
-def judge_winners(analysis: Analysis, folder: Path, *, every_run: bool = False) -> Judgement:
+def retest_winners(analysis: Analysis, folder: Path, *, every_run: bool = False) -> Retest:
     """Simulate the best robots within the budget again, on all cores, unless an earlier call did.
 
     Results are saved as `winners/winners.json` in the study's folder, the best robot of an arm as
@@ -109,23 +109,23 @@ def judge_winners(analysis: Analysis, folder: Path, *, every_run: bool = False) 
     file = folder / "winners" / "winners.json"
     known = read(file, _check_rows, _AGAIN) if file.exists() else []
     rows: dict[_Key, _Row] = {(row["arm"], row["seed"], row["recorded_m"]): row for row in known}
-    judgement = Judgement([], [], [])
+    retest = Retest([], [], [])
     for arm, runs in analysis.runs.items():
         found = {(arm, run.seed, float(run.best_m[-1])): run for run in runs if run.best_m[-1] > 0}
         if not found:
             continue
         best = max(found, key=lambda key: key[2])
-        changed = _judge_best(analysis, folder, found[best], _row(rows, best))
+        changed = _retest_best(analysis, folder, found[best], _row(rows, best))
         if every_run:
-            changed |= _judge_all(analysis, folder, {key: _row(rows, key) for key in found}, found)
+            changed |= _retest_all(analysis, folder, {key: _row(rows, key) for key in found}, found)
         if changed:
             write_json(file, [row for row in rows.values() if row["references"]])
         if end := rows[best]["references"].get(FINE):
-            judgement.winners.append(Winner(*best, end["distance_m"], end["failure"]))
+            retest.winners.append(Winner(*best, end["distance_m"], end["failure"]))
         complete = [rows[key] for key in found if key in rows and _is_complete(rows[key])]
-        judgement.comparisons.extend(_compare(arm, complete))
-        judgement.crawling.extend(_measure(arm, complete))
-    return judgement
+        retest.comparisons.extend(_compare(arm, complete))
+        retest.crawling.extend(_measure(arm, complete))
+    return retest
 
 
 def _row(rows: dict[_Key, _Row], key: _Key) -> _Row:
@@ -138,7 +138,7 @@ def _is_complete(row: _Row) -> bool:
     return "gait" in row and CONDITIONS.keys() <= row["references"].keys()
 
 
-def _judge_best(analysis: Analysis, folder: Path, run: Run, row: _Row) -> bool:
+def _retest_best(analysis: Analysis, folder: Path, run: Run, row: _Row) -> bool:
     """Simulate the best robot of an arm at the reference timestep; return whether the row changed."""
     robot = None if FINE in row["references"] else load_winner(analysis.config, folder, row["arm"], run)
     if robot is None:
@@ -151,7 +151,7 @@ def _judge_best(analysis: Analysis, folder: Path, run: Run, row: _Row) -> bool:
     return True
 
 
-def _judge_all(analysis: Analysis, folder: Path, rows: dict[_Key, _Row], runs: dict[_Key, Run]) -> bool:
+def _retest_all(analysis: Analysis, folder: Path, rows: dict[_Key, _Row], runs: dict[_Key, Run]) -> bool:
     """Simulate robots under the `CONDITIONS` that their rows lack; return whether a row changed."""
     robots = {}
     for key, row in rows.items():

@@ -17,7 +17,7 @@ from evolution.run.history import History
 from evolution.run.journal import Journal
 from evolution.study.config import StudyConfig, begin, load
 from evolution.study.results import DATA, DIGEST, collect, read_kept
-from evolution.study.winners import judge_winners
+from evolution.study.winners import retest_winners
 
 SMALL = tomllib.loads(Path(__file__).with_name("small.toml").read_text("utf-8"))
 
@@ -46,7 +46,7 @@ def test_winners(tmp_path, analysis, text):
     (tmp_path / "winners").mkdir()
     (tmp_path / "winners" / "winners.json").write_text(text)
     with pytest.raises(CaterpillarError, match=r"winners\.json.* (remove|not JSON)"):
-        judge_winners(analysis, tmp_path)
+        retest_winners(analysis, tmp_path)
 
 
 def test_the_table_of_evaluations(tmp_path):

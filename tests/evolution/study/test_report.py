@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evolution.study import report
+from evolution.study import figures, report
 from evolution.study.analysis import Analysis, Finals, Gain
 from evolution.study.config import StudyConfig
 from evolution.study.results import Run
 from evolution.study.statistics import Estimate
 from evolution.study.times import Threshold, Times
-from evolution.study.winners import Comparison, Crawling, Judgement, Winner
+from evolution.study.winners import Comparison, Crawling, Retest, Winner
 
 CONFIG = StudyConfig.from_dict(
     {"seeds": [0, 1], "budget_s": 100, "arms": {"ga-uniform": {"prior": "uniform"}}}
@@ -45,7 +45,7 @@ STUDY = Analysis(
 
 
 def test_best_distance_steps_when_an_evaluation_ends():
-    (axis,) = report.draw_best(STUDY).axes
+    (axis,) = figures.draw_best(STUDY).axes
     *runs, median, threshold = axis.lines
     assert [run.get_ydata().tolist() for run in runs] == [[0, 0, 0, 20], [0, 0, 10, 60]]  # mm
     assert median.get_ydata().tolist() == [0, 0, 5, 40]
@@ -57,11 +57,11 @@ def test_best_distance_steps_when_an_evaluation_ends():
 
 
 def test_survival_ends_at_the_budget():
-    (curve,) = report.draw_survival(STUDY).axes[0].lines
+    (curve,) = figures.draw_survival(STUDY).axes[0].lines
     assert curve.get_xdata()[[0, 1, -1]].tolist() == [0.0, 0.06, 0.1]
     assert curve.get_ydata()[[0, 1, -1]].tolist() == [1.0, 0.5, 0.5]
     unknown = {Threshold(generations=9): [TIMES._replace(threshold_m=np.nan)]}
-    assert report.draw_survival(replace(STUDY, times=unknown)) is None
+    assert figures.draw_survival(replace(STUDY, times=unknown)) is None
 
 
 def test_figure_over_generations_is_dashed_where_runs_have_ended():
@@ -71,7 +71,7 @@ def test_figure_over_generations_is_dashed_where_runs_have_ended():
         return Run(0, spent_s, np.array(best_m), np.full(count, "ok"), np.arange(count), count, 99.0)
 
     runs = [run(0.0, 0.01), run(0.02, 0.02, 0.05), run(0.03, 0.04, 0.06, 0.1), run(0.01, 0.02, 0.03)]
-    (axis,) = report.draw_generations(replace(STUDY, runs={"ga-uniform": runs})).axes
+    (axis,) = figures.draw_generations(replace(STUDY, runs={"ga-uniform": runs})).axes
     whole, dashed = axis.lines
     assert (whole.get_xdata().tolist(), dashed.get_xdata().tolist()) == ([1, 2], [2, 3])
     assert whole.get_ydata() == pytest.approx([15, 20])
@@ -81,11 +81,11 @@ def test_figure_over_generations_is_dashed_where_runs_have_ended():
 def test_speed_ups_beyond_the_axis_are_triangles():
     rows = [(0.01, Estimate(2.0, 1.0, np.inf)), (0.02, Estimate(np.inf, np.nan, np.nan)),
             (0.03, Estimate(0.0, np.nan, np.nan))]  # fmt: skip
-    (axis,) = report.draw_speed_ups(replace(STUDY, speed_ups={"ga-uniform": rows})).axes
+    (axis,) = figures.draw_speed_ups(replace(STUDY, speed_ups={"ga-uniform": rows})).axes
     inside, infinite, zero, _ = axis.lines
     assert (inside.get_xdata().tolist(), inside.get_ydata().tolist()) == ([10.0], [2.0])
     assert (infinite.get_xdata().tolist(), zero.get_xdata().tolist()) == ([20.0], [30.0])
-    assert report.draw_speed_ups(STUDY) is None
+    assert figures.draw_speed_ups(STUDY) is None
 
 
 def test_speed_up_is_drawn_over_the_number_of_genes():
@@ -99,10 +99,10 @@ def test_speed_up_is_drawn_over_the_number_of_genes():
     )
     rows = [TIMES._replace(arm=arm, speed_up=RATIO if "body" in arm else None) for arm in arms]
     drawn = replace(STUDY, config=config, times={Threshold(generations=50): rows})
-    (axis,) = report.draw_genes(drawn).axes
+    (axis,) = figures.draw_genes(drawn).axes
     assert axis.lines[0].get_xdata().tolist() == [20, 36]
     assert axis.lines[0].get_ydata().tolist() == [2.0, 2.0]
-    assert report.draw_genes(STUDY) is None
+    assert figures.draw_genes(STUDY) is None
 
 
 def test_page_shows_every_number_in_its_unit(tmp_path):
@@ -111,12 +111,12 @@ def test_page_shows_every_number_in_its_unit(tmp_path):
     analysis = replace(
         STUDY, runs={}, finals=[finals], gains={50: [Gain("ga-uniform", 2, median, RATIO, None)]}
     )
-    judgement = Judgement(
+    retest = Retest(
         [Winner("ga-uniform", 1, 0.06, 0.0301, "ok")],
         [Comparison("ga-uniform", "Runge-Kutta", 2, 1, 0.979, 0.95, 1.02)],
         [Crawling("ga-uniform", "load on the body", 2, 0.03, 0.01, 0.05)],
     )
-    page = report.write(analysis, judgement, tmp_path).read_text("utf-8")
+    page = report.write(analysis, retest, tmp_path).read_text("utf-8")
     rows = [row.split("<td>")[1:] for row in re.findall(r"<tr>(<td>.*)</tr>", page)]
     fast = "2.00 (1.50 to ∞)"
     assert rows == [
@@ -134,5 +134,5 @@ def test_page_shows_every_number_in_its_unit(tmp_path):
 
 def test_page_does_not_derive_given_thresholds_from_the_reference(tmp_path):
     config = replace(CONFIG, thresholds_m=(0.05,))
-    page = report.write(replace(STUDY, config=config, runs={}), Judgement([], [], []), tmp_path)
+    page = report.write(replace(STUDY, config=config, runs={}), Retest([], [], []), tmp_path)
     assert "A threshold is the median" not in page.read_text("utf-8")

@@ -20,7 +20,7 @@ from evolution.study import winners
 from evolution.study.analysis import analyse
 from evolution.study.config import Cell, StudyConfig, begin
 from evolution.study.results import Results, Run, collect
-from evolution.study.winners import Comparison, Crawling, Winner, judge_winners
+from evolution.study.winners import Comparison, Crawling, Winner, retest_winners
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def study(tmp_path):
         config = StudyConfig({"a": ArtificialArm()}, (0, 1, 2, 3), 210, reference="a")
         runs = {"a": [make_run(seed, best) for seed, best in best_m.items()]}
         empty = analyse(config, Results(polars.DataFrame(), []))
-        return judge_winners(replace(empty, runs=runs), tmp_path).winners
+        return retest_winners(replace(empty, runs=runs), tmp_path).winners
 
     return find
 
@@ -121,7 +121,7 @@ def compare(tmp_path, monkeypatch):
         config = StudyConfig({"a": RandomRobots()}, (0, 1, 2), 210, reference="a")
         empty = analyse(config, Results(polars.DataFrame(), []))
         runs = {"a": [make_run(seed, best) for seed, best in best_m.items()]}
-        return judge_winners(replace(empty, runs=runs), tmp_path, every_run=True)
+        return retest_winners(replace(empty, runs=runs), tmp_path, every_run=True)
 
     return run
 
@@ -202,6 +202,6 @@ def test_robot_is_made_again_from_the_table_of_evaluations(tmp_path, invented):
     expected = load_run(cell.folder(tmp_path)).best_robot
     analysis = analyse(config, collect(config, tmp_path))
     shutil.rmtree(tmp_path / "cells")
-    judge_winners(analysis, tmp_path)
+    retest_winners(analysis, tmp_path)
     assert Robot.load(tmp_path / "winners" / "ga-uniform.json").to_dict() == expected.to_dict()
     assert not (tmp_path / "cells").exists()

@@ -1,0 +1,202 @@
+"""Draws the figures of a study."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from caterpillar_env.arrays import Array
+from evolution.study import statistics
+from evolution.study.analysis import Analysis
+from evolution.study.arms import EvolutionArm
+from evolution.study.times import arrivals
+
+_KILO = 1000.0  # the time axes are in 1000 s
+_TIME = "simulated time (1000 s)"
+
+_FEWEST_RUNS = 3  # for a median with quartiles
+_LARGEST_SPEED_UP = 100.0
+
+
+def draw_best(analysis: Analysis) -> Figure:
+    """Draw the best distance so far over simulated time: every run, medians and quartiles."""
+    figure, axis = _new_figure("best distance so far (mm)")
+    time = analysis.grid_s / _KILO
+    for arm, colour in _colours(analysis).items():
+        runs = analysis.runs[arm]
+        steps_mm = np.array(
+            [
+                np.append(0.0, 1000 * run.best_m)[
+                    np.searchsorted(run.spent_s, analysis.grid_s, side="right")
+                ]
+                for run in runs
+            ]
+        )
+        for row in steps_mm:
+            axis.plot(time, row, color=colour, alpha=0.25, linewidth=0.7)
+        low, median, high = np.quantile(steps_mm, [0.25, 0.5, 0.75], axis=0)
+        axis.fill_between(time, low, high, color=colour, alpha=0.12)
+        axis.plot(time, median, color=colour, linewidth=2, label=f"{arm} ({len(runs)})")
+    for level_m in {row.threshold_m for rows in analysis.times.values() for row in rows}:
+        axis.axhline(1000 * level_m, color="black", linewidth=0.6, linestyle=":")
+    axis.set(xlim=(0, None), ylim=(0, None))
+    _add_legend(axis)
+    return figure
+
+
+def draw_generations(analysis: Analysis) -> Figure | None:
+    """Draw the best distance over generations, or return None if no arm is comparable."""
+    arms = [arm for arm in analysis.config.comparable() if arm in analysis.runs]
+    if not arms:
+        return None
+    figure, axis = _new_figure("best distance so far (mm)")
+    axis.set_xlabel("generations")
+    colours = _colours(analysis)
+    for arm in arms:
+        runs = sorted(analysis.runs[arm], key=lambda run: -run.generations)
+        count = runs[min(_FEWEST_RUNS, len(runs)) - 1].generations
+        generations = np.arange(1, count + 1)
+        best_mm = 1000 * np.array([[run.best_after(n) for n in range(1, count + 1)] for run in runs])
+        low, median, high = np.nanquantile(best_mm, [0.25, 0.5, 0.75], axis=0)
+        axis.fill_between(generations, low, high, color=colours[arm], alpha=0.15)
+        whole = runs[-1].generations
+        label = f"{arm} ({len(runs)})"
+        axis.plot(generations[:whole], median[:whole], color=colours[arm], linewidth=2, label=label)
+        if count > whole:
+            axis.plot(generations[whole - 1 :], median[whole - 1 :], "--", color=colours[arm])
+    axis.set(xlim=(0, None), ylim=(0, None))
+    _add_legend(axis)
+    return figure
+
+
+def draw_survival(analysis: Analysis) -> Figure | None:
+    """Draw Kaplan-Meier curves of the time to each threshold, or return None if none is known."""
+    known = {
+        threshold: {row.arm: row.threshold_m for row in rows if not np.isnan(row.threshold_m)}
+        for threshold, rows in analysis.times.items()
+    }
+    known = {threshold: levels_m for threshold, levels_m in known.items() if levels_m}
+    if not known:
+        return None
+    figure = Figure(figsize=(4.2 * len(known), 4.4), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(1, len(known), sharey=True))
+    for axis, (threshold, levels_m) in zip(axes, known.items(), strict=True):
+        for arm, colour in _colours(analysis).items():
+            if arm not in levels_m:
+                continue
+            runs = analysis.runs[arm]
+            curve = statistics.kaplan_meier(*arrivals(runs, levels_m[arm]))
+            end_s = max(run.budget_s for run in runs)
+            time = np.concatenate([[0.0], curve.time, [end_s]]) / _KILO
+            share, low, high = (
+                np.concatenate([[1.0], values, values[-1:]])
+                for values in (curve.share, curve.low, curve.high)
+            )
+            axis.step(time, share, where="post", color=colour, label=arm)
+            axis.fill_between(time, low, high, step="post", color=colour, alpha=0.08)
+        title = str(threshold).removeprefix("the ")
+        if threshold.fixed_m is None and len(set(levels_m.values())) == 1:
+            title += f"\n({1000 * next(iter(levels_m.values())):.0f} mm)"
+        axis.set_title(title, fontsize="medium")
+        axis.set(xlabel=_TIME, ylim=(-0.02, 1.02))
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("share of runs below the threshold")
+    _add_legend(axes[-1])
+    return figure
+
+
+def draw_speed_ups(analysis: Analysis) -> Figure | None:
+    """Draw the speed-up of each arm over a range of thresholds, or return None without any."""
+    if not analysis.speed_ups:
+        return None
+    figure, axis = _new_figure("speed-up over the reference")
+    axis.set_xlabel("distance to reach (mm)")
+    colours = _colours(analysis)
+    for arm, rows in analysis.speed_ups.items():
+        levels_mm = 1000 * np.array([level_m for level_m, _ in rows])
+        value, low, high = np.array([estimate for _, estimate in rows]).T
+        axis.fill_between(levels_mm, _bound(low), _bound(high), color=colours[arm], alpha=0.12)
+        _plot_ratios(axis, levels_mm, value, colours[arm], label=arm, line="-")
+    _finish_ratios(axis)
+    return figure
+
+
+def draw_genes(analysis: Analysis) -> Figure | None:
+    """Draw the speed-up over the number of genes, if arms of different robots have references."""
+    config, rows = analysis.config, next(reversed(list(analysis.times.values())), [])
+    found: dict[str, list[tuple[float, ...]]] = {}
+    for row in rows:
+        arm = config.arms[row.arm]
+        if row.arm in config.references and row.speed_up and isinstance(arm, EvolutionArm):
+            genes = len(arm.config.encoding.genes)
+            found.setdefault(arm.config.prior, []).append((genes, *row.speed_up))
+    if not found:
+        return None
+    figure, axis = _new_figure("speed-up over the reference")
+    axis.set_xlabel("number of genes")
+    palette = colormaps["tab10"]
+    for number, (prior, points) in enumerate(found.items()):
+        genes, value, low, high = np.array(sorted(points)).T
+        genes = genes * 1.01**number  # so that intervals do not hide each other
+        axis.vlines(genes, _bound(low), _bound(high), color=palette(number), alpha=0.6)
+        _plot_ratios(axis, genes, value, palette(number), label=f"prior {prior}", line="none")
+    axis.set_xscale("log")
+    axis.xaxis.set_major_formatter("{x:.0f}")
+    axis.xaxis.set_minor_formatter("{x:.0f}")
+    _finish_ratios(axis)
+    return figure
+
+
+def _bound(ratios: Array) -> Array:
+    """Return ratios within the range of the axis. Undefined ones stay NaN."""
+    bounded: Array = np.clip(ratios, 1 / _LARGEST_SPEED_UP, _LARGEST_SPEED_UP)
+    return bounded
+
+
+def _plot_ratios(axis: Axes, x: Array, ratios: Array, colour: Any, *, label: str, line: str) -> None:
+    """Plot ratios, with triangles for those that are 0 or infinite."""
+    inside = np.isfinite(ratios) & (ratios > 0)
+    axis.plot(
+        x[inside], ratios[inside], linestyle=line, marker="o", markersize=4, color=colour, label=label
+    )
+    for beyond, marker in ((np.isposinf(ratios), "^"), (ratios == 0, "v")):
+        axis.plot(x[beyond], _bound(ratios[beyond]), marker, color=colour, markersize=6)
+
+
+def _finish_ratios(axis: Axes) -> None:
+    axis.axhline(1.0, color="black", linewidth=0.8)
+    axis.set_yscale("log")
+    axis.yaxis.set_major_formatter("{x:g}")
+    _add_legend(axis)
+
+
+def draw_targets(analysis: Analysis) -> Figure:
+    """Draw the share of (run, target) pairs reached over simulated time."""
+    figure, axis = _new_figure("share of (run, target) pairs reached")
+    for arm, colour in _colours(analysis).items():
+        axis.plot(analysis.grid_s / _KILO, analysis.ecdf[arm], color=colour, label=arm)
+    axis.set(xlim=(0, None), ylim=(0, 1))
+    _add_legend(axis)
+    return figure
+
+
+def _new_figure(ylabel: str) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    axis = figure.subplots()
+    axis.set(xlabel=_TIME, ylabel=ylabel)
+    return figure, axis
+
+
+def _colours(analysis: Analysis) -> dict[str, Any]:
+    """Return the colour of each arm that has runs."""
+    palette = colormaps["tab10" if len(analysis.runs) <= 10 else "tab20"]
+    return {arm: palette(number % 20) for number, arm in enumerate(analysis.runs)}
+
+
+def _add_legend(axis: Axes) -> None:
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
