@@ -19,6 +19,8 @@ from caterpillar_env.worlds import FIRST_STEP_M, Patches, Rough, Steps, World
 FOOT, SKIN = 1, 2
 #: Initial depth of the feet in the ground. All feet then touch it despite rounding errors.
 STANCE_M = 1e-9
+#: Clearance below which pictures and replays mark a part as touching the ground.
+TOUCHING_M = 1e-4
 #: MuJoCo uses the friction of the geom with the highest priority: of a tile, the robot, or the ground.
 TILE, ROBOT = 2, 1
 _LAYERS = {"ground": FOOT, "ground_skin": SKIN}

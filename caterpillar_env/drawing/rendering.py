@@ -17,7 +17,7 @@ from caterpillar_env.arrays import Array
 from caterpillar_env.drawing.overlay import spring_rgb
 from caterpillar_env.drawing.scenery import CAMERAS, RULER
 from caterpillar_env.errors import CaterpillarError, show
-from caterpillar_env.ground import clearances_m, half_axes_m, touching_geoms
+from caterpillar_env.ground import TOUCHING_M, clearances_m, half_axes_m, touching_geoms
 from caterpillar_env.model import build_model
 from caterpillar_env.morphology import Body, length_m, segments_of
 from caterpillar_env.physics import Physics
@@ -32,7 +32,6 @@ _ADVICE = (
 )
 _CONTACT_RGBA = np.array([1.0, 0.55, 0.05, 0.85])
 _SPOT_SIZE_M, _SPOT_HEIGHT_M = np.array([0.005, 0.0002, 0.0]), 0.0006  # radius, half height
-_TOUCHING_M = 1e-4
 
 
 class RenderingError(CaterpillarError):
@@ -133,7 +132,7 @@ class RobotRenderer:
         canvas.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
         centres, turns = self._data.geom_xpos[self._parts], self._data.geom_xmat[self._parts]
         above_m = clearances_m(self._world, centres, turns, self._half_axes)
-        spots = centres[above_m < _TOUCHING_M]
+        spots = centres[above_m < TOUCHING_M]
         spots[:, 2] = self._world.surface(spots[:, 0], spots[:, 1])[0] + _SPOT_HEIGHT_M
         for spot in spots:
             _add_spot(canvas.scene, spot)

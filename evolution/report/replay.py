@@ -14,12 +14,11 @@ from caterpillar_env.arrays import Array
 from caterpillar_env.drawing.overlay import spring_rgb
 from caterpillar_env.drawing.scenery import rotation_to
 from caterpillar_env.drawing.video import Recording
-from caterpillar_env.ground import clearances_m, half_axes_m, touching_geoms
+from caterpillar_env.ground import TOUCHING_M, clearances_m, half_axes_m, touching_geoms
 from caterpillar_env.model import ELEMENTS_PER_SEGMENT, build_model
 from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.worlds import World
 
-TOUCHING_M = 1e-4  #: clearance below which a part touches the ground, as in videos
 _STRIDE = 2  # thermal steps from one frame to the next
 _MAX_BYTES = 600_000  # of the arrays, before base64; robots of many segments get fewer frames
 _CELL_M = 0.005  # of uneven ground
