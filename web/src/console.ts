@@ -1,4 +1,4 @@
-import { Crawl, type Progress } from "./crawl";
+import { type Progress, simulate } from "./crawl";
 import { fromPhases, power, toPhases } from "./gait";
 import { judge } from "./judge";
 import { type MuJoCo, toXml } from "./model";
@@ -23,14 +23,7 @@ export function makeTools(mujoco: MuJoCo) {
     version: (): string => mujoco.mj_versionString(),
 
     /** Return the final progress of a robot. */
-    crawl(robot: Robot): Progress {
-      const crawl = new Crawl(mujoco, robot);
-      try {
-        return crawl.finish();
-      } finally {
-        crawl.delete();
-      }
-    },
+    crawl: (robot: Robot): Progress => simulate(mujoco, robot),
 
     /** Return the austenite fractions after each thermal step, (steps, springs), from the powers. */
     fractions(powers: number[][]): number[][] {

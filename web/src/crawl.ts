@@ -148,3 +148,13 @@ export class Crawl {
     return warned || ![...this.data.qpos, ...this.data.qvel].every(Number.isFinite);
   }
 }
+
+/** Return the final progress of a robot. */
+export function simulate(mujoco: MuJoCo, robot: Robot): Progress {
+  const crawl = new Crawl(mujoco, robot);
+  try {
+    return crawl.finish();
+  } finally {
+    crawl.delete();
+  }
+}

@@ -19,7 +19,7 @@ const compileDelayMs = 120;
 /** The page around one robot. */
 class Page {
   private robot: Robot = winners[0].robot;
-  private crawl: Crawl;
+  private crawl!: Crawl; // since the first restart
   private readonly scene = new Scene(find<HTMLCanvasElement>("view"));
   private readonly panel = new Panel(find, (robot) => this.change(robot));
   private isPlaying = false;
@@ -32,7 +32,6 @@ class Page {
 
   constructor(private readonly mujoco: MuJoCo) {
     this.robot = fromLink(location.hash) ?? this.robot;
-    this.crawl = new Crawl(mujoco, this.robot);
     this.fillMenu();
     this.listen();
     this.show(this.robot);
@@ -59,7 +58,7 @@ class Page {
   }
 
   private restart(): void {
-    this.crawl.delete();
+    (this.crawl as Crawl | undefined)?.delete();
     this.crawl = new Crawl(this.mujoco, this.robot);
     this.scene.setRobot(this.crawl);
     this.dueS = 0;

@@ -18,16 +18,17 @@ function addSlider(
   const output = document.createElement("output");
   const input = document.createElement("input");
   Object.assign(input, { type: "range", min: lower * factor, max: upper * factor, step });
-  const set = (value: number) => {
-    output.textContent = `${(value * factor).toFixed(step < 1 ? 1 : 0)} ${unit}`;
+  const write = (shown: number) => {
+    output.textContent = `${shown.toFixed(step < 1 ? 1 : 0)} ${unit}`;
     input.setAttribute("aria-valuetext", output.textContent);
+  };
+  const set = (value: number) => {
+    write(value * factor);
     input.value = String(value * factor);
   };
   input.addEventListener("input", () => {
-    const value = Math.min(Math.max(Number(input.value) / factor, lower), upper);
-    output.textContent = `${Number(input.value).toFixed(step < 1 ? 1 : 0)} ${unit}`;
-    input.setAttribute("aria-valuetext", output.textContent);
-    onInput(value);
+    write(Number(input.value));
+    onInput(Math.min(Math.max(Number(input.value) / factor, lower), upper));
   });
   row.append(label, output, input);
   fieldset.append(row);
