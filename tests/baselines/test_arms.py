@@ -166,7 +166,7 @@ def test_arms_of_the_ablation_differ_from_their_reference_in_one_choice():
 
 def test_comparison_has_each_learner_of_the_ablation_that_it_shares_with_it():
     ablation, arms = trainings("rl-ablation"), trainings("rl")
-    for name in ("ppo", "td3", "ppo-codesign"):
+    for name in ("ppo", "td3", "td3-timing", "ppo-switch", "ppo-codesign"):
         assert arms[name] == ablation[name]
     assert arms["ppo-bandit"] == replace(arms["ppo"], open_loop=True)
     assert arms["ppo-bandit-randomized"] == replace(arms["ppo-randomized"], open_loop=True)
