@@ -68,5 +68,9 @@ class TrainArm:
         """Return the robot of the best evaluation. Other evaluations have no stored policy."""
         return TrainedRobot.load(folder)
 
+    def load(self, path: Path) -> TrainedRobot:
+        """Read a robot from its JSON file, and its policy from the .npz file beside it."""
+        return TrainedRobot.load(path)
+
     def _configure(self, seed: int, budget_s: float) -> TrainConfig:
         return replace(self.config, seed=seed, budget_s=budget_s)

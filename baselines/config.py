@@ -215,14 +215,19 @@ def make_configuration(config: TrainConfig) -> dict[str, Any]:
 def is_same(configuration: Mapping[str, Any], config: TrainConfig) -> bool:
     """Return whether a journal has the settings of a training run and the present hyperparameters."""
     try:
-        recorded = _read_settings(configuration)
+        recorded = read_settings(configuration)
     except CaterpillarError:
         return False
     expected = make_configuration(config)["hyperparameters"]
     return recorded == config and configuration.get("hyperparameters") == expected
 
 
-def _read_settings(configuration: Mapping[str, Any]) -> TrainConfig:
+def read_settings(configuration: Mapping[str, Any]) -> TrainConfig:
+    """Return the settings in the configuration of a journal.
+
+    Raises:
+        CaterpillarError: a setting is unknown or invalid.
+    """
     names = ("kind", "hyperparameters")
     # Earlier versions had no prior.
     data = {"prior": "uniform"} | {k: v for k, v in configuration.items() if k not in names}
@@ -273,7 +278,7 @@ class Training(NamedTuple):
                 f"{folder} contains an evolutionary run; give a folder that caterpillar rl train made"
             )
         try:
-            return cls(_read_settings(history.configuration), history)
+            return cls(read_settings(history.configuration), history)
         except CaterpillarError as error:
             raise CaterpillarError(
                 f"{folder}: {error}. If an earlier version of this package trained it, use that version"

@@ -18,19 +18,27 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.vec_env import VecMonitor, unwrap_vec_wrapper
 
-from baselines.config import TrainConfig, Training, hyperparameters, is_evaluated_as_recorded
+from baselines.config import (
+    TrainConfig,
+    Training,
+    hyperparameters,
+    is_evaluated_as_recorded,
+    make_configuration,
+    read_settings,
+)
 from baselines.interface import Interface
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.env import CaterpillarEnv
-from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.files import COPY, digest_of, write_bytes, write_json
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.errors import CaterpillarError, check_number
+from caterpillar_env.files import COPY, digest_of, read, with_digest, write_bytes, write_json
+from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import OnInterval
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "td3": TD3}
 Which = Literal["best", "last"]
+FORMAT = "caterpillar-policy-1"  #: of a robot with a policy, in JSON
 _LARGEST_WEIGHT = 1e9  # so that actions are finite
 _LARGEST_HEADER = 10_000  # of an array in a file, bytes; NumPy refuses larger ones too
 
@@ -189,13 +197,20 @@ class TrainedRobot:
     fitness_m: float | None = None  #: recorded distance, m
 
     @classmethod
-    def load(cls, folder: Path, which: Which = "best") -> TrainedRobot:
-        """Load the best or the last policy of a training run, with the body of its evaluation.
+    def load(cls, path: Path, which: Which = "best") -> TrainedRobot:
+        """Load a policy with the body of its evaluation.
+
+        Args:
+            path: folder of a training run, or a JSON file that `save` wrote.
+            which: policy of a training run: the best one, or the last one.
 
         Raises:
-            CaterpillarError: the folder contains no training run, or no such policy yet.
+            CaterpillarError: there is no training run and no robot, or no such policy yet.
         """
-        training = Training.read(folder)
+        if path.is_file():
+            advice = "give the folder of a training run, or the JSON file of a robot with a policy"
+            return read(path, lambda data: cls._from_dict(data, path.with_suffix(".npz")), advice)
+        folder, training = path, Training.read(path)
         history = training.history
         evaluation = history.best
         if which == "last" and history.evaluations:
@@ -213,6 +228,26 @@ class TrainedRobot:
             )
         policy = Policy.load(folder / f"{which}.npz", config)
         return cls(policy, config, training.body(evaluation), config.physics, evaluation.distance_m)
+
+    @classmethod
+    def _from_dict(cls, data: Any, weights: Path) -> TrainedRobot:
+        """Make a robot from `to_dict` and the file of its weights."""
+        if not isinstance(data, dict) or data.get("format") != FORMAT:
+            raise CaterpillarError(f'not a robot with a policy: expected JSON with "format": "{FORMAT}"')
+        try:
+            configuration, fitness_m = dict(data["training"]), data["fitness_m"]
+            body = Morphology(**{name: data["morphology"][name] for name in NAMES})
+        except (LookupError, TypeError, ValueError) as error:
+            raise CaterpillarError(f"a field is missing or invalid: {error}") from None
+        config = read_settings(configuration)
+        if fitness_m is not None:
+            fitness_m = check_number("fitness_m", fitness_m)
+        if not is_evaluated_as_recorded(configuration, config):
+            raise CaterpillarError(
+                "it was trained with other settings of the policy or the environment than those in "
+                "baselines/hyperparams; use the version of this package that trained it"
+            )
+        return cls(Policy.load(weights, config), config, body, config.physics, fitness_m)
 
     def simulate(
         self,
@@ -233,6 +268,10 @@ class TrainedRobot:
         seed = self.config.seed if seed is None else seed
         return self.policy.crawl(env, seed, self.morphology, on_interval)
 
+    def under(self, **changes: Any) -> TrainedRobot:
+        """Return the robot with other values of fields of `Physics`."""
+        return replace(self, physics=replace(self.physics, **changes))
+
     @property
     def digest(self) -> str:
         """Digest that identifies the robot; see `AnyRobot`."""
@@ -241,12 +280,13 @@ class TrainedRobot:
     def to_dict(self) -> dict[str, Any]:
         """Return the robot as plain JSON, without the policy weights."""
         return {
+            "format": FORMAT,
             "fitness_m": self.fitness_m,
             "morphology": self.morphology.to_dict(),
-            "training": self.config.to_dict(),
+            "training": make_configuration(self.config),
         }
 
     def save(self, path: Path) -> None:
-        """Write `to_dict` to a JSON file, and the policy to a .npz file beside it."""
-        write_json(path, self.to_dict())
+        """Write a JSON file for `load`, and the policy to a .npz file beside it."""
+        write_json(path, with_digest(self.to_dict()))
         self.policy.save(path.with_suffix(".npz"))

@@ -1,5 +1,6 @@
 """Policies with new springs, and in part with new friction and slopes: does feedback help?
 
+    python -m benchmarks.feedback results/rl/winners/ppo*/seed-*.json
     python -m benchmarks.feedback studies/rl/cells/ppo*/seed-*    # after caterpillar study --preset rl
 
 The best policy of each training run crawls under all combinations of the conditions. The preset `rl`
@@ -12,14 +13,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from baselines.config import Training
+from baselines.config import TrainConfig, Training
 from baselines.policy import TrainedRobot
 from benchmarks.harness import report
 from benchmarks.worlds import hand_made_robot
@@ -48,28 +48,36 @@ def make_conditions(
 
 def crawl(robot: Robot | TrainedRobot, conditions: Sequence[dict[str, Any]]) -> tuple[Array, Array]:
     """Return the distances of a robot under each of the conditions, mm, and whether it failed."""
-    robots = [replace(robot, physics=replace(robot.physics, **fields)) for fields in conditions]
-    outcomes = [robot.simulate() for robot in robots]
+    outcomes = [robot.under(**fields).simulate() for fields in conditions]
     fitness_mm = 1000 * np.concatenate([outcome.fitness() for outcome in outcomes])
     return fitness_mm, np.concatenate([outcome.failure for outcome in outcomes]) != Failure.NONE
 
 
-def compare_policies(folders: Sequence[Path], conditions: Sequence[dict[str, Any]]) -> None:
+def _load(path: Path) -> tuple[TrainConfig, TrainedRobot | None]:
+    """Return the settings and the best robot of a training run, or those of a JSON file."""
+    if path.is_file():
+        robot = TrainedRobot.load(path)
+        return robot.config, robot
+    config, history = Training.read(path)
+    return config, TrainedRobot.load(path) if history.best else None
+
+
+def compare_policies(paths: Sequence[Path], conditions: Sequence[dict[str, Any]]) -> None:
     """Print distances of the best policies, under nominal and under unseen conditions.
 
     The last column compares the mean over the unseen conditions with that of the first group: the
     probability that a run of the group crawls farther.
 
     Raises:
-        CaterpillarError: a folder contains no training run.
+        CaterpillarError: a path has neither a training run nor a robot with a policy.
     """
     groups: dict[str, list[Robot | TrainedRobot | None]] = {}
     titles: dict[str, str] = {"": "hand-made wave"}
     groups[""] = [hand_made_robot()]
-    for folder in folders:
-        config, history = Training.read(folder)
+    for path in paths:
+        config, robot = _load(path)
         titles[config.group] = config.title
-        groups.setdefault(config.group, []).append(TrainedRobot.load(folder) if history.best else None)
+        groups.setdefault(config.group, []).append(robot)
     rows: list[dict[str, Any]] = []
     first: Array | None = None
     for key, robots in groups.items():
@@ -105,12 +113,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("folders", type=Path, nargs="+", help="folders of training runs")
+    parser.add_argument("paths", type=Path, nargs="+", help="folders of training runs, or JSON files")
     parser.add_argument("--frictions", type=float, nargs="+", default=FRICTIONS)
     parser.add_argument("--mismatch-seeds", type=int, nargs="+", default=MISMATCH_SEEDS)
     parser.add_argument("--worlds", nargs="+", default=SLOPES)
     args = parser.parse_args()
-    compare_policies(args.folders, make_conditions(args.frictions, args.mismatch_seeds, args.worlds))
+    compare_policies(args.paths, make_conditions(args.frictions, args.mismatch_seeds, args.worlds))
 
 
 if __name__ == "__main__":

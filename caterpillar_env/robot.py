@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,6 +133,9 @@ class AnyRobot(Protocol):
     ) -> Outcomes:
         """Simulate the robot, with a different timestep if `timestep_s` is given; see `simulate`."""
 
+    def under(self, **changes: Any) -> Self:
+        """Return the robot with other values of fields of `Physics`."""
+
     def save(self, path: Path) -> None:
         """Write the robot as JSON. A policy writes its other files beside it."""
 
@@ -155,6 +158,10 @@ class Robot:
         """Simulate the robot, with a different timestep if given. For the keywords, see `simulate`."""
         physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
         return simulate([self.morphology], self.gaits, physics, **kwargs)
+
+    def under(self, **changes: Any) -> Robot:
+        """Return the robot with other values of fields of `Physics`."""
+        return replace(self, physics=replace(self.physics, **changes))
 
     @property
     def gaits(self) -> GaitTimings:

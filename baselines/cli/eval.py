@@ -24,8 +24,8 @@ from evolution.cli.running import film
 class EvalArgs:
     """Evaluate a trained policy, optionally under different conditions."""
 
-    folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of the training run."""
+    robot: Annotated[Path, tyro.conf.Positional]
+    """Folder of the training run, or JSON file of a robot with a policy."""
     which: Literal["best", "last", "random"] = "best"
     """Policy to evaluate: the best one, the last one, or random actions."""
     episodes: int = 1
@@ -39,11 +39,13 @@ class EvalArgs:
     json: bool = False
     """Print JSON instead of sentences."""
     video: bool = False
-    """Write eval.mp4, a video of the first episode, to the folder."""
+    """Write eval.mp4, a video of the first episode, beside the policy."""
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
             raise CaterpillarError(f"episodes = {self.episodes} must be at least 1")
+        if self.which == "last" and self.robot.is_file():
+            raise CaterpillarError(f"--which last needs the folder of a training run; got {self.robot}")
         if self.video and self.which == "random":
             raise CaterpillarError("--video cannot be combined with --which random")
         if self.episodes > 1 and self.which != "random":
@@ -56,13 +58,13 @@ class EvalArgs:
 def eval_command(argv: Sequence[str]) -> int:
     """Evaluate a trained policy, optionally under different conditions."""
     args = cli.parse(EvalArgs, argv, "rl eval")
-    robot = TrainedRobot.load(args.folder, "best" if args.which == "best" else "last")
+    robot = TrainedRobot.load(args.robot, "best" if args.which == "best" else "last")
     physics, seed = robot.physics, robot.config.seed
     if args.which == "random":
         actor = RandomActor(make_env(robot.config).action_space, seed)
         robot = replace(robot, policy=Policy(actor, None))
     robots = [
-        replace(robot, physics=replace(physics, friction=friction, mismatch_seed=mismatch_seed))
+        robot.under(friction=friction, mismatch_seed=mismatch_seed)
         for friction, mismatch_seed in product(
             args.frictions or (physics.friction,), args.mismatch_seeds or (physics.mismatch_seed,)
         )
@@ -96,6 +98,7 @@ def eval_command(argv: Sequence[str]) -> int:
             low, median, high = 1000 * np.quantile(fitness_m, [0.25, 0.5, 0.75])
             print(f"median {median:.1f} mm, quartiles {low:.1f} to {high:.1f} (failures count as 0)")
     if args.video:
+        folder = args.robot.parent if args.robot.is_file() else args.robot
         recording = Recording(robots[0], timestep_s=args.timestep_s)
-        film(recording, args.folder / "eval.mp4", cli.console())
+        film(recording, folder / "eval.mp4", cli.console())
     return 0

@@ -80,6 +80,13 @@ class Arm(Protocol):
     def robot(self, folder: Path, evaluation: int) -> AnyRobot:
         """Return the robot of an evaluation of a finished run, by its number."""
 
+    def load(self, path: Path) -> AnyRobot:
+        """Read a robot from the JSON file that its `save` wrote.
+
+        Raises:
+            CaterpillarError: the file is missing or invalid.
+        """
+
 
 def make_arm(name: str, data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm:
     """Make the arm `name` of the kind that `data["kind"]` names ("evolution" by default).
@@ -192,6 +199,10 @@ class EvolutionArm:
         """Decode the genome of an evaluation."""
         history = History.read(folder)
         return history.robot(history.evaluations[evaluation])
+
+    def load(self, path: Path) -> Robot:
+        """Read a robot from its JSON file."""
+        return Robot.load(path)
 
 
 def _to_outcomes(rows: polars.DataFrame) -> Outcomes:

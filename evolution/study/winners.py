@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,7 +89,7 @@ class Retest(NamedTuple):
 
     winners: list[Winner]  #: the best robot of each arm
     comparisons: list[Comparison]  #: of the robots that were simulated under all `CONDITIONS`
-    crawling: list[Crawling]  #: of the same robots
+    crawling: list[Crawling]  #: of the same robots, without policies
 
 
 def retest_winners(analysis: Analysis, folder: Path, *, every_run: bool = False) -> Retest:
@@ -103,8 +102,8 @@ def retest_winners(analysis: Analysis, folder: Path, *, every_run: bool = False)
         analysis: analysis of the study.
         folder: folder of the study.
         every_run: include the best robot of every run, under all `CONDITIONS`, and measure its gait.
-            Policies are left out. By default, only the best robot of each arm is simulated, at the
-            reference timestep.
+            Gaits of policies are not measured. By default, only the best robot of each arm is simulated,
+            at the reference timestep.
     """
     file = folder / "winners" / "winners.json"
     known = read(file, _check_rows, _AGAIN) if file.exists() else []
@@ -153,27 +152,35 @@ def _retest_best(analysis: Analysis, folder: Path, run: Run, row: _Row) -> bool:
 
 def _retest_all(analysis: Analysis, folder: Path, rows: dict[_Key, _Row], runs: dict[_Key, Run]) -> bool:
     """Simulate robots under the `CONDITIONS` that their rows lack; return whether a row changed."""
-    robots = {}
+    robots: dict[_Key, AnyRobot] = {}
     for key, row in rows.items():
         if _is_complete(row):
             continue
         robot = load_winner(analysis.config, folder, key[0], runs[key])
-        if isinstance(robot, Robot):
+        if robot is not None:
             robots[key] = robot
             save_winner(robot, folder, Cell(key[0], key[1]))
     for name, changes in CONDITIONS.items():
         keys = [key for key in robots if name not in rows[key]["references"]]
-        if keys:
-            bodies, timings = stack_robots([robots[key] for key in keys])
-            ends = simulate(bodies, timings, replace(robots[keys[0]].physics, **changes))
-            for key, distance_m, failure in zip(keys, ends.distance_m, ends.failure, strict=True):
-                rows[key]["references"][name] = _describe(distance_m, failure)
+        ends = _simulate([robots[key] for key in keys], changes)
+        for key, (distance_m, failure) in zip(keys, ends, strict=True):
+            rows[key]["references"][name] = _describe(distance_m, failure)
     for key, robot in robots.items():
-        rows[key]["gait"] = measure_gait(robot)._asdict()
+        rows[key]["gait"] = measure_gait(robot)._asdict() if isinstance(robot, Robot) else None
     return bool(robots)
 
 
-def save_winner(robot: Robot, folder: Path, cell: Cell) -> None:
+def _simulate(robots: Sequence[AnyRobot], changes: dict[str, Any]) -> list[tuple[float, int]]:
+    """Return distance and failure of robots of one arm with other physics."""
+    gaits = [robot for robot in robots if isinstance(robot, Robot)]
+    if gaits and len(gaits) == len(robots):
+        end = simulate(*stack_robots(gaits), gaits[0].under(**changes).physics)
+        return list(zip(end.distance_m.tolist(), end.failure.tolist(), strict=True))
+    ends = [robot.under(**changes).simulate() for robot in robots]
+    return [(float(end.distance_m[0]), int(end.failure[0])) for end in ends]
+
+
+def save_winner(robot: AnyRobot, folder: Path, cell: Cell) -> None:
     """Write the best robot of a run into the folder of the study."""
     path = _file_of(folder, cell)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -188,7 +195,7 @@ def load_winner(config: StudyConfig, folder: Path, arm: str, run: Run) -> AnyRob
     """Return the best robot of a run within the budget, or None if it cannot be made again."""
     cell, best_m = Cell(arm, run.seed), float(run.best_m[-1])
     file = _file_of(folder, cell)
-    if file.exists() and (robot := Robot.load(file)).fitness_m == best_m:
+    if file.exists() and (robot := config.arms[arm].load(file)).fitness_m == best_m:
         return robot
     number = int(run.best_m.argmax())
     if cell.folder(folder).exists():
@@ -215,7 +222,7 @@ def _check_rows(data: Any) -> list[_Row]:
                 _are_numbers(end, "distance_m") and isinstance(end["failure"], str)
                 for end in row["references"].values()
             )
-            and ("gait" not in row or _are_numbers(row["gait"], *Gait._fields))
+            and (row.get("gait") is None or _are_numbers(row["gait"], *Gait._fields))
             for row in data
         )
     except (TypeError, LookupError, AttributeError):
@@ -242,7 +249,8 @@ def _compare(arm: str, rows: Sequence[_Row]) -> list[Comparison]:
 
 def _measure(arm: str, rows: Sequence[_Row]) -> list[Crawling]:
     found = []
-    for name, title in _MEASURES.items() if rows else ():
-        low, median, high = np.quantile([row["gait"][name] for row in rows], [0.25, 0.5, 0.75])
-        found.append(Crawling(arm, title, len(rows), float(median), float(low), float(high)))
+    gaits = [row["gait"] for row in rows if row["gait"] is not None]
+    for name, title in _MEASURES.items() if gaits else ():
+        low, median, high = np.quantile([gait[name] for gait in gaits], [0.25, 0.5, 0.75])
+        found.append(Crawling(arm, title, len(gaits), float(median), float(low), float(high)))
     return found

@@ -1,5 +1,6 @@
 """Reinforcement learning as an arm of a study, next to a genetic algorithm."""
 
+import shutil
 from dataclasses import replace
 from typing import get_args
 
@@ -8,14 +9,18 @@ import pytest
 
 from baselines.arms import TrainArm
 from baselines.config import AlgorithmName, Design, TrainConfig, make_configuration
+from baselines.policy import TrainedRobot
 from baselines.training import train
 from caterpillar_env.arguments import ActionMode
 from caterpillar_env.errors import CaterpillarError
 from evolution.run.evaluators import LocalEvaluator
 from evolution.run.history import History
 from evolution.run.journal import Journal
+from evolution.study import winners
+from evolution.study.analysis import analyse
 from evolution.study.config import Cell, StudyConfig, load, preset
 from evolution.study.results import collect
+from evolution.study.winners import retest_winners
 
 TOML = """
 seeds = [0]
@@ -104,6 +109,26 @@ def test_best_robot_is_that_of_the_best_evaluation(finished, tmp_path):
     assert robot.simulate().distance_m[0] == best.distance_m
     robot.save(tmp_path / "ppo.json")
     assert {p.suffix for p in tmp_path.iterdir()} == {".json", ".npz"}
+    assert load(finished).arms["ppo"].load(tmp_path / "ppo.json").simulate() == robot.simulate()
+
+
+@pytest.mark.slow
+def test_policies_are_among_all_winners_and_need_no_training_runs_then(finished, tmp_path, monkeypatch):
+    study = tmp_path / "study"
+    shutil.copytree(finished, study)
+    monkeypatch.setattr(winners, "CONDITIONS", {"slippery": {"friction": 0.3}})
+    expected = TrainedRobot.load(Cell("ppo", 0).folder(study)).under(friction=0.3).simulate()
+    analysis = analyse(load(study), collect(load(study), study))
+    found = retest_winners(analysis, study, every_run=True)
+    (row,) = [row for row in found.comparisons if row.arm == "ppo"]
+    recorded_m = analysis.runs["ppo"][0].best_m[-1]
+    assert (row.robots, row.failed) == (1, 0)
+    assert row.median_share == expected.distance_m[0] / recorded_m
+    assert "ppo" not in {row.arm for row in found.crawling}
+    shutil.rmtree(study / "cells")
+    monkeypatch.setitem(winners.CONDITIONS, "rough", {"friction": 1.0})
+    again = retest_winners(analysis, study, every_run=True)
+    assert [row.condition for row in again.comparisons if row.arm == "ppo"] == ["slippery", "rough"]
 
 
 def test_arm_takes_the_physics_of_the_base():

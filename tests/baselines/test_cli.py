@@ -66,6 +66,15 @@ def test_eval_repeats_the_recorded_evaluation(folder, capsys):
     assert finer["distance_m"] == robot.simulate(0.005).distance_m[0] != robot.fitness_m
 
 
+def test_eval_takes_the_json_file_of_a_robot(folder, tmp_path, capsys):
+    robot = TrainedRobot.load(folder)
+    robot.save(tmp_path / "robot.json")
+    assert cli.main(["rl", "eval", str(tmp_path / "robot.json")]) == 0
+    assert f"{1000 * robot.fitness_m:.1f} mm" in capsys.readouterr().out
+    assert cli.main(["rl", "eval", str(tmp_path / "robot.json"), "--which", "last"]) != 0
+    assert "--which last needs the folder of a training run" in capsys.readouterr().err
+
+
 def test_eval_combines_frictions_and_mismatch_seeds(folder, capsys):
     flags = ["--frictions", "0.4", "1.0", "--mismatch-seeds", "5", "6", "7", "--json"]
     assert cli.main(["rl", "eval", str(folder), *flags]) == 0

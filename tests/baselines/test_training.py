@@ -1,6 +1,7 @@
 """Training runs of small robots: records, budgets and errors."""
 
 import io
+import json
 import os
 import pickle
 import zipfile
@@ -98,6 +99,48 @@ def test_last_policy_crawls_as_far_again(trained):
     folder, history = trained
     robot = TrainedRobot.load(folder, "last")
     assert robot.simulate().distance_m[0] == robot.fitness_m == history.evaluations[-1].distance_m
+
+
+def test_saved_robot_crawls_as_far_again(trained, tmp_path):
+    robot = TrainedRobot.load(trained[0], "last")
+    robot.save(tmp_path / "robot.json")
+    again = TrainedRobot.load(tmp_path / "robot.json")
+    assert again.to_dict() == robot.to_dict()
+    assert again.simulate().distance_m == robot.simulate().distance_m
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": "caterpillar-individual-1"}, "not a robot with a policy"),
+        ({"training": 3}, "a field is missing or invalid"),
+        ({"morphology": {"leg_separation_m": 0.02}}, "a field is missing or invalid"),
+        ({"fitness_m": "far"}, "fitness_m = 'far' must be a finite number"),
+        ({"training": {"algorithm": "dqn"}}, "algorithm = 'dqn' must be one of"),
+        ({"training": {"mode": "timing"}}, "trained with other settings"),
+    ],
+    ids=str,
+)
+def test_invalid_robots_are_refused(trained, tmp_path, change, message):
+    path = tmp_path / "robot.json"
+    TrainedRobot.load(trained[0], "last").save(path)
+    data = {k: v for k, v in json.loads(path.read_text()).items() if k != "digest"}
+    path.write_text(json.dumps(data | change))
+    with pytest.raises(CaterpillarError, match=message):
+        TrainedRobot.load(path)
+
+
+def test_damaged_or_incomplete_robots_are_refused(trained, tmp_path):
+    path = tmp_path / "robot.json"
+    TrainedRobot.load(trained[0], "last").save(path)
+    text = path.read_text()
+    path.write_text(text.replace('"seed": 1', '"seed": 2'))
+    with pytest.raises(CaterpillarError, match="does not match its digest"):
+        TrainedRobot.load(path)
+    path.write_text(text)
+    path.with_suffix(".npz").unlink()
+    with pytest.raises(CaterpillarError, match="there is no such file"):
+        TrainedRobot.load(path)
 
 
 class Watcher:

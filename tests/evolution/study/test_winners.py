@@ -110,6 +110,9 @@ class RandomRobots:
     def robot(self, folder, evaluation):
         return self.robots[evaluation]
 
+    def load(self, path):
+        return Robot.load(path)
+
 
 @pytest.fixture
 def compare(tmp_path, monkeypatch):
