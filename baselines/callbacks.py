@@ -1,4 +1,4 @@
-"""Training callbacks, for example for the `callback` entry of rl_zoo3 hyperparameter files."""
+"""Training callbacks for rl_zoo3 hyperparameter files, and what callbacks share."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from caterpillar_env.errors import CaterpillarError
 
 
 def restart(model: BaseAlgorithm) -> None:
-    """Reset the robots of an algorithm between two rollouts, and tell the algorithm.
+    """Reset the robots of an algorithm between two rollouts, and give it their first observations.
 
     stable-baselines3 has no method for this; `learn` sets these attributes when it begins.
     """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -30,6 +29,12 @@ ENVIRONMENTS: dict[ActionMode, str] = {
 POPULATION = 8  #: number of bodies that CMA-ES proposes per generation
 ROBOTS_PER_BODY = 2  #: number of robots that crawl in each of these bodies
 HYPERPARAMETERS = Path(__file__).with_name("hyperparams")
+_BOUNDS = {
+    "log_std_init": (-20.0, 2.0),
+    "reach": (0.0, 0.5),
+    "batch_size": (2, 1_000_000),
+}  # of overrides
+_MOST_LAYERS, _MOST_UNITS = 8, 4096  # of a network
 _PERIODS_PER_EPISODE = round(EPISODE_S / GAIT_PERIOD_S)
 
 
@@ -78,8 +83,24 @@ class TrainConfig:
             )
         if (randomization := Randomization.of(self.randomize)) is not None:
             randomization.check(self.physics)
-        object.__setattr__(self, "randomize", {k: tuple(v) for k, v in self.randomize.items()})
+        ranges = {name: tuple(bounds) for name, bounds in self.randomize.items() if bounds is not None}
+        object.__setattr__(self, "randomize", ranges)
+        self._check_overrides()
         hyperparameters(self)
+
+    def _check_overrides(self) -> None:
+        names = [entry.partition("=")[0] for entry in self.override]
+        without_effect = {
+            "gamma": "open_loop" if self.open_loop else "",
+            "n_envs": "design" if self.design != "fixed" else "",
+            "n_steps": "design" if self.design != "fixed" else "",
+            "interface.reach": "prior uniform" if self.prior == "uniform" else "",
+        }
+        for name in names:
+            if names.count(name) > 1:
+                raise CaterpillarError(f"override has {name} more than once; give it once")
+            if reason := without_effect.get(name):
+                raise CaterpillarError(f"override of {name} has no effect with {reason}; remove it")
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> TrainConfig:
@@ -159,11 +180,9 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
     model.pop("n_timesteps")  # only rl_zoo3 uses it; here the budget ends the training
     env_kwargs, callback = model.pop("env_kwargs", {}), model.pop("callback", [])
     ((_, interface),) = model.pop("vec_env_wrapper")[0].items()
-    model["interface"] = {"observe": None} | {k: v for k, v in interface.items() if k == "reach"}
-    for entry in config.override:
-        _override(model, entry)
-    interface |= {name: value for name, value in model.pop("interface").items() if value is not None}
     interface |= {"mode": config.mode, "prior": config.prior}
+    for entry in config.override:
+        _override(model, interface, entry)
     n_envs = model.pop("n_envs", 1)
     if config.prior == "uniform":
         callback = []  # they let a policy begin with the gait of the prior
@@ -173,35 +192,47 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
         env_kwargs["action_repeat"] = _PERIODS_PER_EPISODE
         model["gamma"] = 0.0  # an episode is a single step
         if "n_steps" in model:  # keep the number of episodes
-            model["n_steps"] //= _PERIODS_PER_EPISODE
+            model["n_steps"] = max(model["n_steps"] // _PERIODS_PER_EPISODE, 1)
             # PPO warns of mini-batches that are larger than a rollout.
             model["batch_size"] = min(model["batch_size"], model["n_steps"] * n_envs)
     return Hyperparameters(n_envs, env_kwargs, interface, callback, model)
 
 
-def _override(values: dict[str, Any], entry: str) -> None:
-    """Replace a number or a list in a table by the value of a text NAME=VALUE."""
+def _override(model: dict[str, Any], interface: dict[str, Any], entry: str) -> None:
+    """Replace a number or a list by the value of a text NAME=VALUE."""
+    policy: dict[str, Any] = model["policy_kwargs"]
+    tables = {"": model, "policy_kwargs.": policy, "interface.": {"observe": None} | interface}
+    known = {
+        prefix + name: old
+        for prefix, table in tables.items()
+        for name, old in table.items()
+        if not isinstance(old, (str, dict)) and name != "action_repeat"
+    }
     name, _, text = entry.partition("=")
-    *tables, last = name.split(".")
-    for table in tables:
-        values = values[table] if isinstance(values.get(table), dict) else {}
-    old = values.get(last)
-    if last not in values or isinstance(old, (dict, str)):
-        names = ", ".join(k for k, v in values.items() if not isinstance(v, str))
-        names = names or "those in baselines/hyperparams"
-        raise CaterpillarError(f"override {entry!r} must be NAME=VALUE, where NAME is one of: {names}")
+    if name not in known:
+        raise CaterpillarError(
+            f"override {entry!r} must be NAME=VALUE, where NAME is one of: {', '.join(known)}"
+        )
     try:
         new = json.loads(text)
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):
         new = text
+    prefix, _, last = name.rpartition(".")
+    old = known[name]
     if isinstance(old, (int, float)):
         whole = isinstance(old, int)
-        new = check_number(f"override {name}", new, min(old, 1) if whole else -math.inf, whole=whole)
+        default = (min(old, 1), 1_000_000) if whole else (0.0, 1.0)
+        new = check_number(f"override {name}", new, *_BOUNDS.get(last, default), whole=whole)
+    elif old is None:
+        if not isinstance(new, list) or not all(isinstance(kind, str) for kind in new):
+            raise CaterpillarError(f'override {name} must be a list like ["temperature"]; got {text}')
+    elif not isinstance(new, list) or len(new) > _MOST_LAYERS:
+        raise CaterpillarError(
+            f"override {name} must be a list like {old} with at most {_MOST_LAYERS} entries; got {text}"
+        )
     else:
-        example = ["temperature", "height"] if old is None else old
-        if not isinstance(new, list) or any(type(entry) is not type(example[0]) for entry in new):
-            raise CaterpillarError(f"override {name} = {text} must be a list like {json.dumps(example)}")
-    values[last] = new
+        new = [check_number(f"override {name}", size, 1, _MOST_UNITS, whole=True) for size in new]
+    {"": model, "policy_kwargs": policy, "interface": interface}[prefix][last] = new
 
 
 def make_configuration(config: TrainConfig) -> dict[str, Any]:

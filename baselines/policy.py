@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import zipfile
 from collections.abc import Mapping
@@ -102,7 +103,10 @@ class Policy:
         Raises:
             CaterpillarError: the file cannot be read, or holds the arrays of another policy.
         """
-        policy = cls.of(make_model(config, make_training_env(config, threads=1)))
+        acts = ("policy_kwargs.", "interface.")
+        kept = tuple(entry for entry in config.override if entry.startswith(acts))
+        acting = replace(config, override=kept)  # what only matters for learning may need much memory
+        policy = cls.of(make_model(acting, make_training_env(acting, threads=1)))
         expected = policy._arrays()
         try:
             arrays = _read_arrays(path, expected)
@@ -130,6 +134,14 @@ class Policy:
         """Return the content of a file: the weights by name."""
         assert isinstance(self.actor, BaseAlgorithm)
         return {name: weight.numpy() for name, weight in self.actor.policy.state_dict().items()}
+
+    @property
+    def digest(self) -> str:
+        """Hash of the weights."""
+        found = hashlib.sha256()
+        for name, array in sorted(self._arrays().items()):
+            found.update(name.encode() + array.tobytes())
+        return found.hexdigest()
 
     def act(self, observations: Any) -> NDArray[Any]:
         """Return the most likely actions for observations (R, n) of the environment."""
@@ -207,8 +219,10 @@ class TrainedRobot:
         Raises:
             CaterpillarError: there is no training run and no robot, or no such policy yet.
         """
-        if path.is_file():
+        if path.is_file() or path.suffix == ".json":
             advice = "give the folder of a training run, or the JSON file of a robot with a policy"
+            if which != "best":
+                raise CaterpillarError(f"{path} has one policy; for the last one, give a training run")
             return read(path, lambda data: cls._from_dict(data, path.with_suffix(".npz")), advice)
         folder, training = path, Training.read(path)
         history = training.history
@@ -221,11 +235,7 @@ class TrainedRobot:
                 "forwards without failing (in that case use --which last)"
             )
         config = training.config
-        if not is_evaluated_as_recorded(history.configuration, config):
-            raise CaterpillarError(
-                f"{folder} was trained with other settings of the policy or the environment than those "
-                "in baselines/hyperparams; use the version of this package that trained it"
-            )
+        _check_settings(str(folder), history.configuration, config)
         policy = Policy.load(folder / f"{which}.npz", config)
         return cls(policy, config, training.body(evaluation), config.physics, evaluation.distance_m)
 
@@ -235,19 +245,19 @@ class TrainedRobot:
         if not isinstance(data, dict) or data.get("format") != FORMAT:
             raise CaterpillarError(f'not a robot with a policy: expected JSON with "format": "{FORMAT}"')
         try:
-            configuration, fitness_m = dict(data["training"]), data["fitness_m"]
+            configuration, fitness_m, digest = dict(data["training"]), data["fitness_m"], data["weights"]
             body = Morphology(**{name: data["morphology"][name] for name in NAMES})
+            physics = Physics.of(data["physics"])
         except (LookupError, TypeError, ValueError) as error:
             raise CaterpillarError(f"a field is missing or invalid: {error}") from None
         config = read_settings(configuration)
         if fitness_m is not None:
             fitness_m = check_number("fitness_m", fitness_m)
-        if not is_evaluated_as_recorded(configuration, config):
-            raise CaterpillarError(
-                "it was trained with other settings of the policy or the environment than those in "
-                "baselines/hyperparams; use the version of this package that trained it"
-            )
-        return cls(Policy.load(weights, config), config, body, config.physics, fitness_m)
+        _check_settings("it", configuration, config)
+        policy = Policy.load(weights, config)
+        if policy.digest != digest:
+            raise CaterpillarError(f"{weights} has other weights; restore the file that belongs to it")
+        return cls(policy, config, body, physics, fitness_m)
 
     def simulate(
         self,
@@ -278,15 +288,25 @@ class TrainedRobot:
         return digest_of(self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the robot as plain JSON, without the policy weights."""
+        """Return the robot as plain JSON, with a hash of the policy's weights."""
         return {
             "format": FORMAT,
             "fitness_m": self.fitness_m,
             "morphology": self.morphology.to_dict(),
+            "physics": self.physics.to_dict(),
             "training": make_configuration(self.config),
+            "weights": self.policy.digest,
         }
 
     def save(self, path: Path) -> None:
         """Write a JSON file for `load`, and the policy to a .npz file beside it."""
-        write_json(path, with_digest(self.to_dict()))
         self.policy.save(path.with_suffix(".npz"))
+        write_json(path, with_digest(self.to_dict()))
+
+
+def _check_settings(who: str, configuration: Mapping[str, Any], config: TrainConfig) -> None:
+    if not is_evaluated_as_recorded(configuration, config):
+        raise CaterpillarError(
+            f"{who} was trained with other settings of the policy or the environment than those in "
+            "baselines/hyperparams; use the version of this package that trained it"
+        )

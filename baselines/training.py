@@ -60,10 +60,11 @@ def train(
     """
     robots = make_training_env(config, threads)
     _check_budget(config, robots)
+    model = make_model(config, robots)
     make_folder(folder, "; to continue a training run, use `caterpillar rl resume`")
     with Journal.create(folder, make_configuration(config)) as journal:
         history = History(journal)
-        _run(_Recorder(config, robots, history, on_evaluation, on_progress))
+        _run(_Recorder(config, robots, history, on_evaluation, on_progress), model)
     return Training(config, history)
 
 
@@ -100,11 +101,12 @@ def resume(
         for _ in known.generations:
             history.complete(replayed=True)
         robots = make_training_env(config, threads)
-        _run(_Recorder(config, robots, history, on_evaluation, on_progress))
+        recorder = _Recorder(config, robots, history, on_evaluation, on_progress)
+        _run(recorder, make_model(config, robots))
     return Training(config, history)
 
 
-def _run(recorder: _Recorder) -> None:
+def _run(recorder: _Recorder, model: BaseAlgorithm) -> None:
     """Train until the budget is spent or the user interrupts."""
     config, robots, history = recorder.config, recorder.robots, recorder.history
     torch_threads = torch.get_num_threads()
@@ -114,7 +116,6 @@ def _run(recorder: _Recorder) -> None:
         callbacks = [recorder, *map(_make_callback, hyperparameters(config).callback)]
         if recorder.designs is not None:
             callbacks.append(recorder.designs)
-        model = make_model(config, robots)
         over = bool(history.generations) and recorder.restore(model)
         try:
             while not over:  # robots that fail use fewer seconds than their steps would

@@ -5,8 +5,8 @@
 
 The best policy of each training run crawls under all combinations of the conditions. The preset `rl`
 trains with a friction of 0.8, or of 0.5 to 1.1, and on flat ground. Distances are those in 30 s. A robot
-that fails counts as 0, as does a run without a best policy. Runs that differ only in the seed form a
-group.
+that fails counts as 0, as does a training run without a best policy (which has no JSON file). Runs that
+differ only in the seed form a group.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from baselines.policy import TrainedRobot
 from benchmarks.harness import report
 from benchmarks.worlds import hand_made_robot
 from caterpillar_env.arrays import Array
-from caterpillar_env.robot import Robot
+from caterpillar_env.robot import AnyRobot
 from caterpillar_env.task import Failure
 from caterpillar_env.worlds import World
 from evolution.study.statistics import Estimate, a12, median
@@ -46,7 +46,7 @@ def make_conditions(
     ]
 
 
-def crawl(robot: Robot | TrainedRobot, conditions: Sequence[dict[str, Any]]) -> tuple[Array, Array]:
+def crawl(robot: AnyRobot, conditions: Sequence[dict[str, Any]]) -> tuple[Array, Array]:
     """Return the distances of a robot under each of the conditions, mm, and whether it failed."""
     outcomes = [robot.under(**fields).simulate() for fields in conditions]
     fitness_mm = 1000 * np.concatenate([outcome.fitness() for outcome in outcomes])
@@ -71,7 +71,7 @@ def compare_policies(paths: Sequence[Path], conditions: Sequence[dict[str, Any]]
     Raises:
         CaterpillarError: a path has neither a training run nor a robot with a policy.
     """
-    groups: dict[str, list[Robot | TrainedRobot | None]] = {}
+    groups: dict[str, list[AnyRobot | None]] = {}
     titles: dict[str, str] = {"": "hand-made wave"}
     groups[""] = [hand_made_robot()]
     for path in paths:

@@ -137,7 +137,7 @@ class AnyRobot(Protocol):
         """Return the robot with other values of fields of `Physics`."""
 
     def save(self, path: Path) -> None:
-        """Write the robot as JSON. A policy writes its other files beside it."""
+        """Write the robot as JSON. A policy writes its weights beside it."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from baselines.policy import Policy, RandomActor, TrainedRobot, make_env
+from baselines.policy import Policy, RandomActor, TrainedRobot, Which, make_env
 from caterpillar_env.drawing.video import Recording
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import Failure
@@ -39,13 +39,11 @@ class EvalArgs:
     json: bool = False
     """Print JSON instead of sentences."""
     video: bool = False
-    """Write eval.mp4, a video of the first episode, beside the policy."""
+    """Write a video of the first episode: eval.mp4 in the folder, or ROBOT.mp4 beside ROBOT.json."""
 
     def __post_init__(self) -> None:
         if self.episodes < 1:
             raise CaterpillarError(f"episodes = {self.episodes} must be at least 1")
-        if self.which == "last" and self.robot.is_file():
-            raise CaterpillarError(f"--which last needs the folder of a training run; got {self.robot}")
         if self.video and self.which == "random":
             raise CaterpillarError("--video cannot be combined with --which random")
         if self.episodes > 1 and self.which != "random":
@@ -58,7 +56,8 @@ class EvalArgs:
 def eval_command(argv: Sequence[str]) -> int:
     """Evaluate a trained policy, optionally under different conditions."""
     args = cli.parse(EvalArgs, argv, "rl eval")
-    robot = TrainedRobot.load(args.robot, "best" if args.which == "best" else "last")
+    which: Which = "best" if args.robot.is_file() else "last"  # random actions need no good policy
+    robot = TrainedRobot.load(args.robot, which if args.which == "random" else args.which)
     physics, seed = robot.physics, robot.config.seed
     if args.which == "random":
         actor = RandomActor(make_env(robot.config).action_space, seed)
@@ -98,7 +97,7 @@ def eval_command(argv: Sequence[str]) -> int:
             low, median, high = 1000 * np.quantile(fitness_m, [0.25, 0.5, 0.75])
             print(f"median {median:.1f} mm, quartiles {low:.1f} to {high:.1f} (failures count as 0)")
     if args.video:
-        folder = args.robot.parent if args.robot.is_file() else args.robot
+        path = args.robot.with_suffix(".mp4") if args.robot.is_file() else args.robot / "eval.mp4"
         recording = Recording(robots[0], timestep_s=args.timestep_s)
-        film(recording, folder / "eval.mp4", cli.console())
+        film(recording, path, cli.console())
     return 0

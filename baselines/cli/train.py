@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -56,7 +57,7 @@ def train_command(argv: Sequence[str]) -> int:
                 "segments: give a robot evolved with --genome shared or full"
             )
         config = replace(config, morphology=body)
-    name = config.title.replace(" ", "-")
+    name = re.sub(r"[^A-Za-z0-9.=-]+", "-", config.title)[:100]
     folder = args.out or unused(Path("runs"), f"{name}-seed{config.seed}")
     return follow(partial(train, config, folder, threads=args.threads), config, args.video)
 

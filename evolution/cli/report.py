@@ -31,8 +31,8 @@ class ReportArgs:
     """For a run: vary two genes of the best robot, and plot the distances in landscape.png. This takes
     about as long as 625 evaluations."""
     all_winners: bool = False
-    """For a study: simulate the best robot of every evolution run again with finer settings, other
-    friction and other springs, and measure how it crawls. This takes a minute per robot on one core."""
+    """For a study: simulate the best robot of every run again with finer settings, other friction and
+    other springs, and measure gaits. This takes a minute per robot on one core."""
 
 
 def report_command(argv: Sequence[str]) -> int:

@@ -93,7 +93,7 @@ class Retest(NamedTuple):
 
 
 def retest_winners(analysis: Analysis, folder: Path, *, every_run: bool = False) -> Retest:
-    """Simulate the best robots within the budget again, on all cores, unless an earlier call did.
+    """Simulate the best robots within the budget again, unless an earlier call did.
 
     Results are saved as `winners/winners.json` in the study's folder, the best robot of an arm as
     `winners/ARM.json`, and that of a run as `winners/ARM/seed-N.json`.
@@ -139,12 +139,14 @@ def _is_complete(row: _Row) -> bool:
 
 def _retest_best(analysis: Analysis, folder: Path, run: Run, row: _Row) -> bool:
     """Simulate the best robot of an arm at the reference timestep; return whether the row changed."""
-    robot = None if FINE in row["references"] else load_winner(analysis.config, folder, row["arm"], run)
+    path, known = folder / "winners" / f"{row['arm']}.json", FINE in row["references"]
+    robot = None if known and path.exists() else load_winner(analysis.config, folder, row["arm"], run)
     if robot is None:
         return False
-    path = folder / "winners" / f"{row['arm']}.json"
     path.parent.mkdir(exist_ok=True)
     robot.save(path)
+    if known:
+        return False
     end = robot.simulate(REFERENCE_TIMESTEP_S)
     row["references"][FINE] = _describe(end.distance_m[0], end.failure[0])
     return True
@@ -195,9 +197,16 @@ def load_winner(config: StudyConfig, folder: Path, arm: str, run: Run) -> AnyRob
     """Return the best robot of a run within the budget, or None if it cannot be made again."""
     cell, best_m = Cell(arm, run.seed), float(run.best_m[-1])
     file = _file_of(folder, cell)
-    if file.exists() and (robot := config.arms[arm].load(file)).fitness_m == best_m:
-        return robot
     number = int(run.best_m.argmax())
+    if file.exists():
+        try:
+            robot = config.arms[arm].load(file)
+        except CaterpillarError:
+            if not cell.folder(folder).exists():
+                raise
+        else:
+            if robot.fitness_m == best_m:
+                return robot
     if cell.folder(folder).exists():
         return config.arms[arm].robot(cell.folder(folder), number)
     if not config.arms[arm].restorable:

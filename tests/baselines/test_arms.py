@@ -189,7 +189,7 @@ def test_arms_of_the_ablation_differ_from_their_reference_in_one_choice():
         assert len(changed) == (name != "ppo") + (name == "ppo-codesign-uniform")
 
 
-def test_comparison_has_each_learner_of_the_ablation_that_it_shares_with_it():
+def test_both_presets_train_the_same_learners():
     ablation, arms = trainings("rl-ablation"), trainings("rl")
     for name in ("ppo", "td3", "td3-timing", "ppo-switch", "ppo-codesign"):
         assert arms[name] == ablation[name]

@@ -71,8 +71,11 @@ def test_eval_takes_the_json_file_of_a_robot(folder, tmp_path, capsys):
     robot.save(tmp_path / "robot.json")
     assert cli.main(["rl", "eval", str(tmp_path / "robot.json")]) == 0
     assert f"{1000 * robot.fitness_m:.1f} mm" in capsys.readouterr().out
-    assert cli.main(["rl", "eval", str(tmp_path / "robot.json"), "--which", "last"]) != 0
-    assert "--which last needs the folder of a training run" in capsys.readouterr().err
+    assert cli.main(["rl", "eval", str(tmp_path / "robot.json"), "--which", "last"]) == 1
+    assert "has one policy; for the last one, give a training run" in capsys.readouterr().err
+    assert cli.main(["rl", "eval", str(tmp_path / "robot.json"), "--which", "random"]) == 0
+    assert cli.main(["rl", "eval", str(tmp_path / "typo.json")]) == 1
+    assert "give the folder of a training run, or the JSON file" in capsys.readouterr().err
 
 
 def test_eval_combines_frictions_and_mismatch_seeds(folder, capsys):

@@ -6,7 +6,14 @@ from dataclasses import replace
 import pytest
 import yaml
 
-from baselines.config import ENVIRONMENTS, HYPERPARAMETERS, TrainConfig, hyperparameters
+from baselines.config import (
+    ENVIRONMENTS,
+    HYPERPARAMETERS,
+    TrainConfig,
+    hyperparameters,
+    is_same,
+    make_configuration,
+)  # fmt: skip
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import Morphology
 
@@ -109,28 +116,59 @@ def test_overrides_replace_single_hyperparameters():
 
 
 @pytest.mark.parametrize(
-    ("mode", "entry", "message"),
+    ("fields", "entry", "message"),
     [
-        ("phase", "", "override '' must be NAME=VALUE, where NAME is one of: n_envs, n_steps"),
-        ("phase", "luck=1", "where NAME is one of: n_envs, n_steps"),
-        ("phase", "luck.x=1", "where NAME is one of: those in baselines/hyperparams"),
-        ("phase", "policy_kwargs=1", "must be NAME=VALUE"),
-        ("phase", "policy_kwargs.luck=1", "where NAME is one of: log_std_init, net_arch"),
-        ("phase", "policy=CnnPolicy", "must be NAME=VALUE"),
-        ("phase", "n_envs", "override n_envs = '' must be an integer from 1"),
-        ("phase", "n_envs=0", "override n_envs = 0 must be an integer from 1"),
-        ("phase", "gamma=high", "override gamma = 'high' must be a finite number"),
-        ("phase", "gamma=NaN", "override gamma = nan must be a finite number"),
-        ("phase", "policy_kwargs.net_arch=[0.5]", r"must be a list like \[64, 64\]"),
-        ("phase", "interface.observe=height", "must be a list like"),
-        ("switch", "interface.reach=0.1", "must be NAME=VALUE"),
-        ("switch", "env_kwargs.action_repeat=1", "must be NAME=VALUE"),
+        ({}, "", "override '' must be NAME=VALUE, where NAME is one of: n_envs, n_steps"),
+        ({}, "luck=1", "where NAME is one of: n_envs, n_steps"),
+        ({}, "policy_kwargs=1", "policy_kwargs.log_std_init, policy_kwargs.net_arch, interface.observe"),
+        ({}, "policy=CnnPolicy", "must be NAME=VALUE"),
+        ({}, "n_envs", "override n_envs = '' must be an integer from 1"),
+        ({}, "n_envs=0", "override n_envs = 0 must be an integer from 1"),
+        ({}, "batch_size=1", "override batch_size = 1 must be an integer from 2"),
+        ({}, "gamma=high", "override gamma = 'high' must be a finite number"),
+        ({}, "gamma=NaN", "override gamma = nan must be a finite number"),
+        ({}, "gamma=" + 5000 * "1", "override gamma = '1111"),
+        ({}, "gamma=2", "override gamma = 2 must be a finite number from 0 to 1"),
+        ({}, "learning_rate=-1", "override learning_rate = -1 must be a finite number from 0"),
+        (
+            {},
+            "interface.reach=0.9",
+            "interface.reach = 0.9 must be a finite number from 0 to 0.5",
+        ),
+        ({}, "policy_kwargs.net_arch=[0.5]", "override policy_kwargs.net_arch = 0.5 must be an integer"),
+        ({}, "policy_kwargs.net_arch=[1000000]", "must be an integer from 1 to 4096"),
+        ({}, "policy_kwargs.net_arch=5", r"must be a list like \[64, 64\] with at most 8 entries"),
+        ({}, "interface.observe=height", "must be a list like"),
+        ({"mode": "switch"}, "interface.reach=0.1", "must be NAME=VALUE"),
+        ({"mode": "switch"}, "interface.action_repeat=1", "must be NAME=VALUE"),
+        ({"algorithm": "td3"}, "noise_std=-1", "override noise_std = -1 must be"),
+        ({"open_loop": True}, "gamma=0.9", "override of gamma has no effect with open_loop"),
+        ({"design": "body"}, "n_envs=8", "override of n_envs has no effect with design"),
+        ({"prior": "uniform"}, "interface.reach=0.2", "has no effect with prior uniform"),
     ],
-    ids=str,
+    ids=lambda value: str(value)[:40],
 )
-def test_invalid_overrides_are_rejected(mode, entry, message):
+def test_invalid_overrides_are_rejected(fields, entry, message):
     with pytest.raises(CaterpillarError, match=message):
-        TrainConfig(mode=mode, override=(entry,))
+        TrainConfig(**fields, override=(entry,))
+
+
+def test_override_is_given_once():
+    with pytest.raises(CaterpillarError, match="override has gamma more than once"):
+        TrainConfig(override=("gamma=0.9", "gamma=0.5"))
+
+
+def test_bandits_keep_one_step_per_rollout_at_least():
+    assert hyperparameters(TrainConfig(open_loop=True, override=("n_steps=3",))).model["n_steps"] == 1
+
+
+def test_journals_of_earlier_versions_without_overrides_are_the_same():
+    config = TrainConfig(seed=3)
+    recorded = make_configuration(config)
+    del recorded["override"]
+    assert is_same(recorded, config)
+    assert not is_same(recorded, replace(config, override=("gamma=0.9",)))
+    assert not is_same(recorded | {"luck": 1}, config)
 
 
 @pytest.mark.parametrize(

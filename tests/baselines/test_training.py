@@ -107,6 +107,17 @@ def test_saved_robot_crawls_as_far_again(trained, tmp_path):
     again = TrainedRobot.load(tmp_path / "robot.json")
     assert again.to_dict() == robot.to_dict()
     assert again.simulate().distance_m == robot.simulate().distance_m
+    slippery = robot.under(friction=0.4)
+    assert slippery.digest != robot.digest
+    slippery.save(tmp_path / "slippery.json")
+    assert TrainedRobot.load(tmp_path / "slippery.json").physics == slippery.physics
+
+
+def test_settings_of_learning_do_not_matter_for_loading(trained, tmp_path):
+    robot = TrainedRobot.load(trained[0], "last")
+    huge = replace(robot.config, override=("n_envs=1000000", "n_steps=1000000"))
+    replace(robot, config=huge).save(tmp_path / "robot.json")
+    assert TrainedRobot.load(tmp_path / "robot.json").config == huge
 
 
 @pytest.mark.parametrize(
@@ -138,6 +149,11 @@ def test_damaged_or_incomplete_robots_are_refused(trained, tmp_path):
     with pytest.raises(CaterpillarError, match="does not match its digest"):
         TrainedRobot.load(path)
     path.write_text(text)
+    for weight in (other := load_weights(trained[0])).values():
+        weight += 1
+    np.savez(path.with_suffix(".npz"), **other)
+    with pytest.raises(CaterpillarError, match="has other weights"):
+        TrainedRobot.load(path)
     path.with_suffix(".npz").unlink()
     with pytest.raises(CaterpillarError, match="there is no such file"):
         TrainedRobot.load(path)
@@ -291,6 +307,13 @@ def test_finished_training_is_returned_as_it_is(trained):
     before = (folder / "journal.sqlite").read_bytes()
     assert resume(folder).history.simulated_s == history.simulated_s
     assert (folder / "journal.sqlite").read_bytes() == before
+
+
+def test_invalid_observations_are_refused_before_the_folder_is_made(tmp_path):
+    given = replace(config(), override=('interface.observe=["hight"]',))
+    with pytest.raises(CaterpillarError, match="observe has hight"):
+        train(given, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_training_of_other_hyperparameters_is_not_resumed(tmp_path, monkeypatch):

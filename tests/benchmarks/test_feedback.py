@@ -56,6 +56,15 @@ def test_policies_are_compared_by_their_mean_over_the_conditions(folders, capsys
     assert closed["A12 against the first"]["value"] == 0.5
 
 
+def test_a_published_policy_is_that_of_its_training_run(folders, tmp_path):
+    TrainedRobot.load(folders[0]).save(tmp_path / "seed-0.json")
+    (config, robot), (published, again) = (
+        feedback._load(p) for p in (folders[0], tmp_path / "seed-0.json")
+    )
+    assert published == config
+    assert again.digest == robot.digest
+
+
 def test_run_without_a_best_policy_counts_as_0(tmp_path, capsys, monkeypatch):
     tipped = Outcomes(*(np.array([value]) for value in (Failure.TIPPED, 0.5, 1.0, 30.0)))
     monkeypatch.setattr(Policy, "crawl", lambda *_args, **_more: tipped)

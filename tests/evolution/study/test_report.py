@@ -136,3 +136,10 @@ def test_page_does_not_derive_given_thresholds_from_the_reference(tmp_path):
     config = replace(CONFIG, thresholds_m=(0.05,))
     page = report.write(replace(STUDY, config=config, runs={}), Retest([], [], []), tmp_path)
     assert "A threshold is the median" not in page.read_text("utf-8")
+
+
+def test_page_of_policies_has_no_table_of_gaits(tmp_path):
+    retest = Retest([], [Comparison("ppo", "Runge-Kutta", 2, 1, 0.979, 0.95, 1.02)], [])
+    page = report.write(replace(STUDY, runs={}), retest, tmp_path).read_text("utf-8")
+    assert "simulated again</h2>" in page
+    assert "How the best robots crawl" not in page
