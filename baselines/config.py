@@ -29,11 +29,8 @@ ENVIRONMENTS: dict[ActionMode, str] = {
 POPULATION = 8  #: number of bodies that CMA-ES proposes per generation
 ROBOTS_PER_BODY = 2  #: number of robots that crawl in each of these bodies
 HYPERPARAMETERS = Path(__file__).with_name("hyperparams")
-_BOUNDS = {
-    "log_std_init": (-20.0, 2.0),
-    "reach": (0.0, 0.5),
-    "batch_size": (2, 1_000_000),
-}  # of overrides
+# Limits of overrides. Other numbers are in [0, 1], or positive integers.
+_BOUNDS = {"log_std_init": (-20.0, 2.0), "reach": (0.0, 0.5), "batch_size": (2, 1_000_000)}
 _MOST_LAYERS, _MOST_UNITS = 8, 4096  # of a network
 _PERIODS_PER_EPISODE = round(EPISODE_S / GAIT_PERIOD_S)
 
