@@ -29,10 +29,10 @@ def rosenbrock(x):
     return (100 * (z[:, 1:] - z[:, :-1] ** 2) ** 2 + (1 - z[:, :-1]) ** 2).sum(axis=1)
 
 
-def least(optimizer, problem, evaluations):
-    """The least value among so many evaluations, and where."""
+def least(optimizer, problem, evaluations, enough=-np.inf):
+    """The least value among so many evaluations, and where; ends early below ``enough``."""
     best, where, done = np.inf, None, 0
-    while done < evaluations:
+    while done < evaluations and best >= enough:
         genomes = optimizer.ask()
         assert ((genomes >= 0) & (genomes <= 1)).all()
         values = problem(genomes)
@@ -66,14 +66,15 @@ def random_search(seed=0):
     [
         (cma_es, sphere, 0.3, 2_000, 1e-9, 1e-5),
         (cma_es, rosenbrock, 0.75, 6_000, 1e-9, 1e-5),
-        (cma_es, rastrigin, 0.6, 40_000, 1e-9, 1e-5),
+        # Restarts are needed, and how many depends on the seed and on the CPU's linear algebra.
+        (cma_es, rastrigin, 0.6, 200_000, 1e-9, 1e-5),
         (shade, sphere, 0.3, 6_000, 1e-6, 1e-3),
         (shade, rosenbrock, 0.75, 20_000, 1e-6, 1e-3),
         (shade, rastrigin, 0.6, 20_000, 1e-6, 1e-3),
     ],
 )
 def test_the_known_optimum_is_found(make, problem, optimum, evaluations, value, near):
-    found, where = least(make(), problem, evaluations)
+    found, where = least(make(), problem, evaluations, enough=value / 1000)
     assert found < value
     np.testing.assert_allclose(where, optimum, atol=near)
 
