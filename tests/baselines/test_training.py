@@ -87,6 +87,7 @@ def test_journal_holds_every_evaluation_and_the_configuration(trained):
     assert plain["hyperparameters"] == hyperparameters(config())._asdict()
 
 
+@pytest.mark.slow
 def test_a_repeated_training_gives_the_same_bits(trained, tmp_path):
     folder, history = trained
     again = train(config(), tmp_path / "again", threads=1).history
@@ -180,6 +181,7 @@ def test_policy_observes_and_acts_through_its_interface():
     assert untrained.distance_m[0] > 0.05  # the best wave of the prior
 
 
+@pytest.mark.slow
 def test_best_policy_is_the_best_of_the_history(tmp_path, monkeypatch):
     outcomes = iter([outcome(0.5, Failure.TIPPED), outcome(0.01, 0), outcome(0.4, Failure.VEERED)])
     monkeypatch.setattr(Policy, "crawl", lambda *_args, **_more: next(outcomes, outcome(0.0, 0)))
@@ -192,6 +194,7 @@ def test_best_policy_is_the_best_of_the_history(tmp_path, monkeypatch):
     assert not np.array_equal(one["action_net.bias"], two["action_net.bias"])
 
 
+@pytest.mark.slow
 def test_there_is_no_best_policy_if_all_fail(tmp_path, monkeypatch):
     monkeypatch.setattr(Policy, "crawl", lambda *_args, **_more: outcome(0.5, Failure.TIPPED))
     assert train(config(), tmp_path / "run").history.best is None
@@ -519,6 +522,7 @@ def test_arrays_that_do_not_fit_are_refused(small, tmp_path, change, message):
 WEIGHT = "action_net.weight"
 
 
+@pytest.mark.slow
 def test_files_that_could_run_code_or_fill_the_memory_are_refused(small, tmp_path):
     asked, path = small
     arrays, file, proof = dict(np.load(path)), tmp_path / "best.npz", tmp_path / "proof"
@@ -543,6 +547,7 @@ def test_files_that_could_run_code_or_fill_the_memory_are_refused(small, tmp_pat
     refuse(file, asked, "no such file")
 
 
+@pytest.mark.slow
 def test_a_damaged_policy_is_read_right_or_refused(small, tmp_path):
     asked, path = small
     content, file = path.read_bytes(), tmp_path / "best.npz"

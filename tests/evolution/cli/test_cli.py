@@ -246,6 +246,7 @@ def test_process_exits_with_the_status_and_prints_one_line(tmp_path):
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_interrupted_run_keeps_its_generations_and_prints_how_to_resume(tmp_path):
     arguments = [*TINY, "--generations", "50", "--population", "4", "--out", "run"]
     process = subcommand(arguments, cwd=tmp_path)

@@ -441,16 +441,22 @@ def test_unusable_settings_are_refused_in_one_line(settings, message):
 KINDS = [
     {"optimizer": "ga"},
     {"optimizer": "cma-es", "cma": CmaConfig(cma_population=4)},
+    {"optimizer": "shade", "genome": "full", "timing": "phase", "shade": ShadeConfig(4, 2)},
+]
+MORE_KINDS = [
     {"optimizer": "random"},
     {"optimizer": "random", "sampling": "sobol"},
     {"optimizer": "ga", "objective": "distance-per-energy"},
     {"optimizer": "ga", "genome": "full"},
     {"optimizer": "cma-es", "genome": "per-segment", "cma": CmaConfig(cma_population=4)},
-    {"optimizer": "shade", "genome": "full", "timing": "phase", "shade": ShadeConfig(4, 2)},
 ]
 
 
-@pytest.mark.parametrize("settings", KINDS, ids=lambda kind: "-".join(map(str, kind.values()))[:30])
+@pytest.mark.parametrize(
+    "settings",
+    [*KINDS, *(pytest.param(kind, marks=pytest.mark.slow) for kind in MORE_KINDS)],
+    ids=lambda kind: "-".join(map(str, kind.values()))[:30],
+)
 def test_interrupted_and_resumed_equals_uninterrupted(tmp_path, settings):
     config = RunConfig(
         seed=5, generations=4, physics=SHORT, ga=GaConfig(population=4, hall_of_fame=1), **settings

@@ -282,6 +282,7 @@ def test_report_is_one_page_with_all_arms(finished):
     assert "This is a pilot study: with 2 runs" in page
 
 
+@pytest.mark.slow
 def test_report_can_be_made_again_from_the_table_alone(finished, tmp_path, capsys):
     for name in ("study.json", DATA):
         (tmp_path / name).write_bytes((finished / name).read_bytes())
@@ -354,6 +355,7 @@ def test_best_robots_are_simulated_again_once(finished, capsys):
     assert (finished / "winners" / "winners.json").stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
 def test_report_compares_all_winners_on_request(finished, tmp_path, monkeypatch, capsys):
     shutil.copytree(finished, tmp_path / "study")
     monkeypatch.setattr(winners, "CONDITIONS", {"5 ms": {"timestep_s": 0.005}})

@@ -98,6 +98,7 @@ def test_a_crawling_robot_does_not_catch_up_after_an_interruption(hand, monkeypa
     assert max(elapsed_s) == 0.25
 
 
+@pytest.mark.slow
 def test_a_finished_robot_stops_and_can_be_saved(hand, client, monkeypatch):
     sent = {}
     monkeypatch.setattr(client, "send_file_download", lambda name, data, **_: sent.update({name: data}))
