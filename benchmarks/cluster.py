@@ -191,8 +191,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cores", type=int, nargs="+", default=[2, 16, 64, 190])
     parser.add_argument("--runs", type=int, nargs="+", default=[1], help="runs side by side")
-    parser.add_argument("--seconds", type=float, default=20.0, help="least time of a measurement")
-    parser.add_argument("--scale", type=float, default=1.0, help="of the time that genomes take")
+    parser.add_argument("--seconds", type=float, default=20.0, help="minimum time of a measurement, s")
+    parser.add_argument("--scale", type=float, default=1.0, help="factor on the time per genome")
     parser.add_argument("--cost", action="store_true", help="measure the real simulation instead")
     args = parser.parse_args()
     if args.cost:

@@ -64,7 +64,7 @@ class EpisodeConfig:
             self.randomization.check(self.physics)
         if self.faults is not None and self.faults.springs > self.physics.num_springs:
             raise CaterpillarError(
-                f"faults of {self.faults.springs} springs need a robot with as many; this one has "
+                f"faults.springs = {self.faults.springs} must be at most the number of springs, "
                 f"{self.physics.num_springs}"
             )
 
@@ -116,5 +116,5 @@ def check_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) -> 
     chosen = {} if options is None else options
     if not isinstance(chosen, Mapping) or set(chosen) - set(known):
         got = sorted(map(str, set(chosen) - set(known))) if isinstance(chosen, Mapping) else show(chosen)
-        raise CaterpillarError(f"reset options are {', '.join(known)}; got {got}")
+        raise CaterpillarError(f"reset options must be among {', '.join(known)}; got {got}")
     return dict(chosen)

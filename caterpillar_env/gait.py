@@ -141,7 +141,7 @@ class GaitTimings:
         return np.stack([self.on_s, self.off_s], axis=-1).reshape(*self.on_s.shape[:-1], -1)
 
     def mirrored(self) -> GaitTimings:
-        """Return the timings of the springs from these timings of mirrored pairs."""
+        """Give both springs of each pair the times of the pair: (..., pairs) becomes (..., springs)."""
         on_s, off_s = np.repeat([self.on_s, self.off_s], SPRINGS_PER_GAP // PAIRS_PER_GAP, axis=-1)
         return GaitTimings(self.period_s, on_s, off_s)
 

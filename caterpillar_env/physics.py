@@ -71,14 +71,14 @@ class Physics:
     friction: float = 0.8  #: coefficient of feet and elements on the ground
     mismatch_std: float = 0.05  #: relative standard deviation of the spring strengths
     mismatch_seed: int = 0  #: random seed of the spring strengths
-    spring_strengths: tuple[float, ...] | None = None  #: force factors; None: random
+    spring_strengths: tuple[float, ...] | None = None  #: force factor of each spring; None samples them
     timestep_s: float = 0.0025  #: physics timestep; must divide 0.01
     integrator: Integrator = "discrete"  #: MuJoCo integrator; use rk4 with 0.25 ms
     solver: Solver = "newton"  #: MuJoCo constraint solver
     cone: Cone = "elliptic"  #: MuJoCo friction cone
     impratio: float = 100.0  #: MuJoCo impedance ratio; large values reduce slip
-    contact_time_constant_s: float = 0.01  #: softness of the ground
-    stop_time_constant_s: float = 0.005  #: softness of the joint stops; two timesteps
+    contact_time_constant_s: float = 0.01  #: of contacts with the ground, s; larger is softer
+    stop_time_constant_s: float = 0.005  #: of the joint stops, s; at least two timesteps
     solver_tolerance: float = 1e-8  #: MuJoCo solver tolerance
     solver_iterations: int = 100  #: maximum number of MuJoCo solver iterations
     world: World = field(default_factory=Flat)  #: ground, such as rough or slope:angle_deg=5

@@ -131,7 +131,7 @@ class Progress(NamedTuple):
     lateral_m: Array  #: displacement to the left of the goal heading, (R,)
     heading_rad: Array  #: heading relative to the goal, counter-clockwise, in (-pi, pi], (R,)
     energy_j: Array  #: electrical energy used, (R,)
-    body_load: Array  #: share of the load on the body, mean over at least `EPISODE_S`, (R,)
+    body_load: Array  #: integral of the load on the body / max(time, `EPISODE_S`), (R,)
     failure: NDArray[np.int8]  #: values of `Failure`, (R,)
 
 

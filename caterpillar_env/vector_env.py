@@ -274,7 +274,7 @@ class CaterpillarVectorEnv(
 
 
 def _read_mode(value: AutoresetMode | str) -> AutoresetMode:
-    """Return an autoreset mode from itself or from the name of its value."""
+    """Convert a string such as "NextStep" to an `AutoresetMode`; a mode is returned unchanged."""
     for mode in AutoresetMode:
         if isinstance(value, (str, AutoresetMode)) and value in (mode, mode.value):
             return mode

@@ -15,9 +15,9 @@ PITCH_ANGLES = 10  #: number of pitch angles over the range of the joints
 
 
 def roll_stability(segment_mass_kg: Array, leg_separation_m: Array, segment_radius_m: Array) -> Array:
-    """Return the minimum lateral force at the center of mass that tips a segment over, N (eqs 2-4).
+    """Return the minimum lateral force at the centre of mass that tips a segment over, N (eqs 2-4).
 
-    The center of mass is 2R above the ground and w/2 from the contact point a, so that
+    The centre of mass is 2R above the ground and w/2 from the contact point a, so that
     F_phi 2R = m g w / 2.
     """
     width_ratio = leg_separation_m / (2 * segment_radius_m)  # P_w, eq. 4
@@ -40,8 +40,8 @@ def lifting_moment(
     """Return the mean moment of an austenite spring that lifts a segment about its contact b, N m.
 
     Saunders 2009, eqs 6-7: M_b = r_b,sp x F_s + r_b,cm x W. The segment extends L/2 ahead of b, its
-    center of mass is h_b = 2R above the ground, and it is pitched up by theta about b. The spring
-    connects the anchor, x outboard and y above the center, to the mirrored anchor on the neighbor, which
+    centre of mass is h_b = 2R above the ground, and it is pitched up by theta about b. The spring
+    connects the anchor, x outboard and y above the centre, to the mirrored anchor on the neighbor, which
     stays level. The spring is L + 2x long at theta = 0, where M_b = k (L + 2x - Delta)(y + h_b) -
     m g L / 2. The mean is over pitch angles from 0 to the joint limit. All values are in SI units.
     """

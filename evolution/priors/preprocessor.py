@@ -74,7 +74,7 @@ class GenePrior:
 
     gene: Gene
     distribution: Distribution  #: over [0, 1]
-    signs: tuple[tuple[str, int], ...]  #: per K_i: 1 if it prefers high values, -1 low; 0 if circular
+    signs: tuple[tuple[str, int], ...]  #: (K_i, sign): 1 if largest at a high value, -1 low, 0 circular
     reason: str
 
     def to_dict(self) -> dict[str, str | float | None]:

@@ -226,7 +226,7 @@ def _check_reachable(address: str) -> None:
     except (OSError, OverflowError) as error:
         raise ClusterError(
             f"no Ray cluster at {address} ({getattr(error, 'strerror', None) or error}); "
-            "`ray start --head` starts one; without an address, one is started on this machine"
+            "start one with `ray start --head`, or omit the address to start one on this machine"
         ) from None
 
 

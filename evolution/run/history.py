@@ -295,7 +295,7 @@ class History:
             self._completions.append(self._find_completion(rows, outcomes))
         completion = self._completions[number]
         if rows[-1].number + 1 != completion.evaluations or (completion.best or 0) > rows[-1].number:
-            raise damaged(self._journal.path, f"generation {number} has other evaluations")
+            raise damaged(self._journal.path, f"generation {number} does not match its evaluations")
         if completion.best is not None:
             self.best = self.evaluations[completion.best]
         crawled_m = outcomes.fitness()

@@ -77,7 +77,7 @@ class StudyConfig:
             if not values or len(set(values)) < len(values):
                 first = "0" if name == "seeds" else "1"
                 raise CaterpillarError(
-                    f"{name} must be a list of different integers from {first}; got {values!r}"
+                    f"{name} must be a list of distinct integers, each at least {first}; got {values!r}"
                 )
         if self.budget_s < EPISODE_S:
             raise CaterpillarError(
@@ -217,7 +217,7 @@ def begin(config: StudyConfig, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         if not file.exists() and any(folder.iterdir()):
             raise CaterpillarError(
-                f"{folder} is not empty and holds no study; choose another with --out"
+                f"{folder} is not empty and contains no study; choose another with --out"
             )
         write_json(file, with_digest(config.to_dict()))
 

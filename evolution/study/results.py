@@ -46,7 +46,7 @@ def read_run(config: StudyConfig, cell: Cell, study: Path) -> History | None:
         return None  # running this cell reports the error
     if not config.arms[cell.arm].matches(history, cell.seed, config.budget_of(cell)):
         raise CaterpillarError(
-            f"{folder} was run with other settings; choose another folder for the study, or remove it"
+            f"{folder} was run with other settings; choose another study folder with --out, or delete it"
         )
     return history
 

@@ -37,8 +37,8 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 _MEASURES = {
     "best_tenth": "distance covered in the best tenth of a period",
     "body_load": "load on the body",
-    "overrun": "excess of a joint over its limit",
-    "slip": "sliding of the feet, relative to the distance",
+    "overrun": "overrun of a joint",
+    "slip": "slip",
 }
 _AGAIN = "remove it, and it is made again"
 _Key = tuple[str, int, float]  # arm, seed, recorded distance
@@ -237,7 +237,7 @@ def _check_rows(data: Any) -> list[_Row]:
     except (TypeError, LookupError, AttributeError):
         valid = False
     if not valid:
-        raise CaterpillarError(f"it must hold a list of robots with their references; {_AGAIN}")
+        raise CaterpillarError(f"it must hold robots with their results under all conditions; {_AGAIN}")
     rows: list[_Row] = data
     return rows
 

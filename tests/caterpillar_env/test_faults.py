@@ -86,7 +86,7 @@ def test_seeds_and_states_repeat_the_faults():
     ("value", "message"),
     [
         (0, "springs = 0 must be an integer from 1"),
-        (13, "faults of 13 springs need a robot with as many; this one has 12"),
+        (13, "faults.springs = 13 must be at most the number of springs, 12"),
         ({"power": 2}, "power = 2 must be a finite number from 0 to 1"),
         ({"time_s": (3, 1)}, "time_s of faults must be two times in increasing order"),
         ({"time_s": 3}, "time_s = 3 must be a list"),

@@ -148,7 +148,7 @@ def test_other_settings_of_an_existing_study_are_rejected(tmp_path, fields, mess
 
 def test_folder_with_other_files_is_rejected(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(CaterpillarError, match="is not empty and holds no study"):
+    with pytest.raises(CaterpillarError, match="is not empty and contains no study"):
         begin(StudyConfig.from_dict(SMALL), tmp_path)
 
 
@@ -156,8 +156,8 @@ def test_folder_with_other_files_is_rejected(tmp_path):
     ("data", "message"),
     [
         (changed(arms={}), "a study needs arms"),
-        (changed(seeds=[]), "seeds must be a list of different integers from 0; got ()"),
-        (changed(seeds=[1, 1]), "seeds must be a list of different"),
+        (changed(seeds=[]), "seeds must be a list of distinct integers, each at least 0; got ()"),
+        (changed(seeds=[1, 1]), "seeds must be a list of distinct"),
         (changed(seeds=3), "seeds = 3 must be a list"),
         (changed(pilot_seeds=[8]), "a study has no pilot_seeds; its fields are base, arms, seeds"),
         (changed(long_seeds=[0]), "long_budget_s = 0.0 must be at least budget_s = 240"),
@@ -165,12 +165,15 @@ def test_folder_with_other_files_is_rejected(tmp_path):
         (changed(reference="best"), "reference = 'best' must be one of the arms ga-uniform"),
         (changed(budget_s=0), "budget_s = 0 must be at least 30"),
         (changed(budget_s="long"), "budget_s = 'long' must be a finite number"),
-        (changed(generations=[]), "generations must be a list of different integers from 1; got ()"),
+        (
+            changed(generations=[]),
+            "generations must be a list of distinct integers, each at least 1; got ()",
+        ),
         (changed(generations=["x"]), "an entry of generations = 'x' must be an integer"),
         (changed(arms={**SMALL["arms"], "a/b": {}}), "the name of an arm is used for a folder"),
         (changed(thresholds_m=[-1]), "thresholds_m must be a list of positive numbers; got (-1,)"),
         (changed(luck=1), "a study has no luck; its fields are base, arms, seeds"),
-        ({k: v for k, v in SMALL.items() if k != "seeds"}, "seeds must be a list of different"),
+        ({k: v for k, v in SMALL.items() if k != "seeds"}, "seeds must be a list of distinct"),
         (changed(arms={"ga-uniform": {"seed": 3}}), "remove seed, which the study sets"),
         (
             changed(arms={"ga-uniform": {"target_m": 0.1}}),
