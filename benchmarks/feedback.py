@@ -22,9 +22,8 @@ import numpy as np
 from baselines.config import TrainConfig, Training
 from baselines.policy import TrainedRobot
 from benchmarks.harness import report
-from benchmarks.worlds import hand_made_robot
 from caterpillar_env.arrays import Array
-from caterpillar_env.robot import AnyRobot
+from caterpillar_env.robot import AnyRobot, wave_robot
 from caterpillar_env.task import Failure
 from caterpillar_env.worlds import World
 from evolution.study.statistics import Estimate, a12, median
@@ -73,7 +72,7 @@ def compare_policies(paths: Sequence[Path], conditions: Sequence[dict[str, Any]]
     """
     groups: dict[str, list[AnyRobot | None]] = {}
     titles: dict[str, str] = {"": "hand-made wave"}
-    groups[""] = [hand_made_robot()]
+    groups[""] = [wave_robot()]
     for path in paths:
         config, robot = _load(path)
         titles[config.group] = config.title

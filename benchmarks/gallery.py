@@ -132,7 +132,7 @@ def measure_period(robot: Robot, start_s: float = WAVE_START_S) -> Period:
     """
     physics, period_s = robot.physics, robot.timings.period_s
     crawl = Crawl([robot.morphology], physics, threads=1)
-    power = robot.timings.of_springs(physics.num_springs).power(SMA_STEP_S)
+    power = robot.power()
     periods = round(start_s / period_s) + 1
     heating = crawl.simulation.heat(np.tile(power[None], (1, periods, 1)))
     model = crawl.simulation.models[0]

@@ -23,16 +23,14 @@ from scipy import stats
 from benchmarks.harness import Step, report, spread, time_steps
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
-from caterpillar_env.morphology import NAMES, Morphology, segments_of
+from caterpillar_env.morphology import NAMES, segments_of
 from caterpillar_env.physics import SMA_STEP_S, Physics
-from caterpillar_env.robot import Outcomes, Robot, simulate
+from caterpillar_env.robot import Outcomes, Robot, simulate, stack, wave_robot
 from caterpillar_env.task import Crawl, Failure
 from caterpillar_env.validation.robots import (
     evolved_robots,
     random_robots,
     stack_power,
-    stack_robots,
 )
 from caterpillar_env.worlds import World
 from evolution.study.arms import EvolutionArm
@@ -47,16 +45,9 @@ WORLDS = (
 )  # fmt: skip
 
 
-def hand_made_robot() -> Robot:
-    """Return the nominal body with a wave from the tail that was designed by hand."""
-    on = np.array([0, 3, 4, 1, 2, 5]) / 6
-    on_s, off_s = (GAIT_PERIOD_S * share for share in (on, (on + 0.2) % 1))
-    return Robot(Morphology(), GaitTimings(GAIT_PERIOD_S, on_s, off_s), Physics())
-
-
 def crawl(robots: Sequence[Robot], world: World) -> Outcomes:
     """Simulate robots in a world."""
-    return simulate(*stack_robots(robots), replace(robots[0].physics, world=world))
+    return simulate(*stack(robots), replace(robots[0].physics, world=world))
 
 
 def fitness_mm(robots: Sequence[Robot], world: World) -> Array:
@@ -66,7 +57,7 @@ def fitness_mm(robots: Sequence[Robot], world: World) -> Array:
 
 def compare_scores(count: int, worlds: Sequence[str] = WORLDS) -> None:
     """Print distances of a hand-made wave, of robots evolved on flat ground, and of random robots."""
-    wave, evolved = hand_made_robot(), evolved_robots()[:count]
+    wave, evolved = wave_robot(), evolved_robots()[:count]
     genomes = random_robots(count, 0, Physics())
     rows: list[dict[str, Any]] = []
     for text in worlds:
@@ -88,7 +79,7 @@ def compare_scores(count: int, worlds: Sequence[str] = WORLDS) -> None:
 
 def compare_costs(count: int, repeats: int, worlds: Sequence[str] = WORLDS) -> None:
     """Print the cost of a gait period of crawling robots, relative to flat ground, on one thread."""
-    bodies, power = stack_power([hand_made_robot()] * count)
+    bodies, power = stack_power([wave_robot()] * count)
 
     def begin(text: str) -> Step:
         crawl = Crawl(bodies, Physics(world=World.of(text)), threads=1, stop_on_failure=False)

@@ -140,6 +140,10 @@ class GaitTimings:
         """On and off time of each spring or pair in turn, s, shape (..., 2 n)."""
         return np.stack([self.on_s, self.off_s], axis=-1).reshape(*self.on_s.shape[:-1], -1)
 
+    def __getitem__(self, rows: Any) -> GaitTimings:
+        """Return the timings of some robots, as by indexing arrays: `timings[2]`, `timings[None]`."""
+        return GaitTimings(self.period_s, self.on_s[rows], self.off_s[rows])
+
     def mirrored(self) -> GaitTimings:
         """Give both springs of each pair the times of the pair: (..., pairs) becomes (..., springs)."""
         on_s, off_s = np.repeat([self.on_s, self.off_s], SPRINGS_PER_GAP // PAIRS_PER_GAP, axis=-1)

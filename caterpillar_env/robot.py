@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, Self
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError, check_fields, show
 from caterpillar_env.files import ELSEWHERE, digest_of, read, with_digest, write_json
-from caterpillar_env.gait import GaitTimings, count_steps, pair_names, spring_names
+from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings, count_steps, pair_names, spring_names
 from caterpillar_env.morphology import NAMES, Body, Morphology, segments_of
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, OnInterval, Progress
@@ -38,12 +38,14 @@ class Outcomes(NamedTuple):
         distance_m = np.where(np.isfinite(end.distance_m), end.distance_m, 0.0)
         return cls(end.failure, distance_m, end.energy_j, end.time_s)
 
-    @property
-    def stopped(self) -> NDArray[np.bool_]:
-        """Whether each robot was stopped before its time without a failure, by racing, (P,)."""
-        early = self.simulated_s < EPISODE_S - CONTROL_INTERVAL_S / 2
-        stopped: NDArray[np.bool_] = early & (self.failure == Failure.NONE)
-        return stopped
+    @classmethod
+    def join(cls, parts: Iterable[Outcomes]) -> Outcomes:
+        """Return the outcomes of several groups of robots in one."""
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def rows(self, rows: Any) -> Outcomes:
+        """Return the outcomes of some robots, selected by an index or a slice."""
+        return Outcomes(*(column[rows] for column in self))
 
     def fitness(self) -> Array:
         """Return the distance in m, at least 0, or 0 for a failed robot, (P,)."""
@@ -94,9 +96,29 @@ def follow(
         on_progress: function to call with the simulated share of this time, in [0, 1].
     """
     count_steps(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
+    power = timings.of_springs(crawl.physics.num_springs).power(SMA_STEP_S)
+    repeat(crawl, power, end_s, on_interval=on_interval, on_progress=on_progress)
+
+
+def repeat(
+    crawl: Crawl,
+    power: Array,
+    end_s: float,
+    *,
+    on_interval: OnInterval | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> None:
+    """Advance the robots of a `Crawl` with power that repeats, until a time since their reset.
+
+    Args:
+        crawl: see `follow`.
+        power: power of one period from the reset on, as for `Crawl.run`, shape (P, steps, springs).
+        end_s: see `follow`.
+        on_interval: see `simulate`.
+        on_progress: see `follow`.
+    """
     start_s = float(crawl.progress().time_s.max())
     steps = count_steps(end_s - start_s, CONTROL_INTERVAL_S, "the duration") * STEPS_PER_INTERVAL
-    power = timings.of_springs(crawl.physics.num_springs).power(SMA_STEP_S)
     before = round(start_s / SMA_STEP_S)
     # Simulate a few intervals at a time to limit memory.
     first = 0
@@ -157,16 +179,15 @@ class Robot:
     def simulate(self, timestep_s: float | None = None, **kwargs: Any) -> Outcomes:
         """Simulate the robot, with a different timestep if given. For the keywords, see `simulate`."""
         physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
-        return simulate([self.morphology], self.gaits, physics, **kwargs)
+        return simulate([self.morphology], self.timings[None], physics, **kwargs)
 
     def under(self, **changes: Any) -> Robot:
         """Return the robot with other values of fields of `Physics`."""
         return replace(self, physics=replace(self.physics, **changes))
 
-    @property
-    def gaits(self) -> GaitTimings:
-        """The timings as arrays of shape (1, n), for `simulate`."""
-        return replace(self.timings, on_s=self.timings.on_s[None], off_s=self.timings.off_s[None])
+    def power(self) -> Array:
+        """Return the power of the springs over one gait period, shape (steps of 10 ms, springs)."""
+        return self.timings.of_springs(self.physics.num_springs).power(SMA_STEP_S)
 
     @property
     def kind(self) -> str:
@@ -263,6 +284,29 @@ class Robot:
                 )
             path = path / "best.json"
         return read(path, cls.from_dict, f"{advice} (for a trained policy, use caterpillar rl eval)")
+
+
+def wave_robot() -> Robot:
+    """Return the nominal robot with a wave from tail to head, which was designed by hand.
+
+    Each pair is powered for a fifth of the period, and ventral pairs half a period after dorsal ones.
+    """
+    on = np.array([0, 3, 4, 1, 2, 5]) / 6
+    on_s, off_s = (GAIT_PERIOD_S * share for share in (on, (on + 0.2) % 1))
+    return Robot(Morphology(), GaitTimings(GAIT_PERIOD_S, on_s, off_s), Physics())
+
+
+def stack(robots: Sequence[Robot]) -> tuple[list[Body], GaitTimings]:
+    """Return the bodies and the timings of robots, for `simulate`.
+
+    Raises:
+        CaterpillarError: the robots have different gait periods or numbers of timings.
+    """
+    timings = [robot.timings for robot in robots]
+    if len({(t.period_s, t.on_s.shape) for t in timings}) > 1:
+        raise CaterpillarError("robots must have the same gait period and the same number of timings")
+    on_s, off_s = np.stack([t.on_s for t in timings]), np.stack([t.off_s for t in timings])
+    return [robot.morphology for robot in robots], GaitTimings(timings[0].period_s, on_s, off_s)
 
 
 def _segment(data: Any) -> Morphology:

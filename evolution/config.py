@@ -13,6 +13,7 @@ from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import EPISODE_S
 from evolution.genome import Encoding, GenomeKind, Timing
+from evolution.objective import ObjectiveName
 from evolution.optimizers.base import Optimizer
 from evolution.optimizers.cma_es import CmaConfig, CmaEs
 from evolution.optimizers.ga import GaConfig, GeneticAlgorithm
@@ -22,7 +23,6 @@ from evolution.priors import Control, Prior, Without, design_parameters, make_pr
 from evolution.priors.distributions import Clipping, Distribution, Uniform
 from evolution.priors.gait import advance
 from evolution.priors.preprocessor import Contradictions, GenePrior, check_floor_ratio
-from evolution.run.objective import ObjectiveName
 
 OptimizerName = Literal["ga", "cma-es", "shade", "random"]
 PriorUse = Literal["both", "init", "mutation"]

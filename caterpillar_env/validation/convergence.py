@@ -17,7 +17,7 @@ from scipy.stats import spearmanr
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.physics import Physics
-from caterpillar_env.robot import Outcomes, simulate
+from caterpillar_env.robot import Outcomes, simulate, stack
 from caterpillar_env.task import EPISODE_S, Failure
 from caterpillar_env.validation.check import Check, check_at_least, check_at_most
 from caterpillar_env.validation.robots import (
@@ -26,7 +26,6 @@ from caterpillar_env.validation.robots import (
     farthest_robots,
     random_robots,
     stack_power,
-    stack_robots,
 )
 
 SPREAD = 10  #: number of evolved robots whose intrinsic spread is measured
@@ -80,11 +79,11 @@ def compare(*, quick: bool) -> Comparison:
     robots = random_robots(24 if quick else 100, 3, physics)
     evolved = farthest_robots(6) if quick else evolved_robots()
     random_pair, evolved_pair = (
-        Pair(*(simulate(*stack_robots(group), p, duration_s=duration_s) for p in (physics, fine)))
+        Pair(*(simulate(*stack(group), p, duration_s=duration_s) for p in (physics, fine)))
         for group in (robots, evolved)
     )
     few = evolved[: 3 if quick else INDEPENDENT]
-    independent = simulate(*stack_robots(few), exact, duration_s=duration_s)
+    independent = simulate(*stack(few), exact, duration_s=duration_s)
     nudged = crawl_for(duration_s, *stack_power(evolved[:SPREAD]), fine, offset_m=1e-6).progress()
     return Comparison(
         random_pair,
@@ -178,7 +177,7 @@ def compare_settings(count: int = 16, duration_s: float = EPISODE_S) -> list[dic
         One row per setting: cost in microseconds per simulated millisecond and robot on one thread.
         Median relative error, rank correlation and failure agreement refer to a timestep of 0.5 ms.
     """
-    robots = stack_robots(evolved_robots(count))
+    robots = stack(evolved_robots(count))
     references: dict[str, Outcomes] = {}
     rows: list[dict[str, float | str]] = []
     for name, changes in SETTINGS.items():

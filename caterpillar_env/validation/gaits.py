@@ -43,7 +43,7 @@ def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
     physics, period_s = robot.physics, robot.timings.period_s
     periods = max(1, int(duration_s / period_s + 1e-9))
     crawl = Crawl([robot.morphology], physics, threads=1, stop_on_failure=False)
-    power = np.tile(robot.timings.of_springs(physics.num_springs).power(SMA_STEP_S), (1, periods, 1))
+    power = np.tile(robot.power(), (1, periods, 1))
     model = crawl.simulation.models[0]
     control = crawl.simulation.heat(power).control[0]
     qpos, com_m, slip_m, body_load, overrun = _replay(model, crawl.simulation.qpos(0), control)

@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.physics import SMA_STEP_S, Physics
-from caterpillar_env.robot import Robot
+from caterpillar_env.physics import Physics
+from caterpillar_env.robot import Robot, repeat
 from caterpillar_env.task import EPISODE_S, Crawl, Failure
 from caterpillar_env.validation.check import Check
 from caterpillar_env.validation.robots import evolved_robots, random_robots
@@ -43,12 +43,9 @@ def compute_trajectory(robot: Robot, offset_m: float = 0.0) -> tuple[Array, str]
     crawl = Crawl([robot.morphology], robot.physics)
     if offset_m:
         crawl.reset(offset=np.full_like(crawl.simulation.state().joint_position, offset_m))
-    period = robot.timings.mirrored().power(SMA_STEP_S)
-    power = np.tile(period, (round(EPISODE_S / robot.timings.period_s), 1))
-    sample = round(SAMPLE_S / SMA_STEP_S)
     points = []
-    for first in range(0, len(power), sample):
-        crawl.run(power[None, first : first + sample])
+    for end in range(1, round(EPISODE_S / SAMPLE_S) + 1):
+        repeat(crawl, robot.power()[None], end * SAMPLE_S)
         points.append(crawl.simulation.state().com_m[0])
     return np.array(points), Failure(crawl.failure[0]).label
 

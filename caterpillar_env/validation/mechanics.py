@@ -14,7 +14,7 @@ from caterpillar_env.arrays import Array
 from caterpillar_env.model import build_model
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import GRAVITY_M_S2, SMA_STEP_S, Physics
-from caterpillar_env.robot import Robot, simulate
+from caterpillar_env.robot import Robot, simulate, stack
 from caterpillar_env.sma import spring_force
 from caterpillar_env.task import EPISODE_S, Crawl, Failure, Progress
 from caterpillar_env.validation.check import (
@@ -24,7 +24,7 @@ from caterpillar_env.validation.check import (
     check_equal,
     check_near,
 )
-from caterpillar_env.validation.robots import crawl_for, random_robots, stack_power, stack_robots
+from caterpillar_env.validation.robots import crawl_for, random_robots, stack_power
 from caterpillar_env.worlds import Slope
 
 
@@ -189,7 +189,7 @@ def check_rest(*, quick: bool) -> list[Check]:
     """
     count, settle_s, watch_s = (4, 60.0, 10.0) if quick else (60, 60.0, 30.0)
     physics = Physics()
-    bodies, _ = stack_robots(random_robots(count, 2, physics))
+    bodies, _ = stack(random_robots(count, 2, physics))
     checks = []
     for share, word in ((0.0, "power off"), (1.0, "all springs hot")):
         power = np.full((count, round(watch_s / SMA_STEP_S), physics.num_springs), share)
@@ -230,6 +230,6 @@ def check_failures(healthy: Sequence[Robot]) -> list[Check]:
     for name, code in zip(poses, crawl.failure, strict=True):
         words = "upright, 20 degrees off" if name == "ok" else name
         checks.append(check_equal(f"robot placed {words}", name, Failure(int(code)).label))
-    found = {Failure(int(code)).label for code in simulate(*stack_robots(healthy), physics).failure}
+    found = {Failure(int(code)).label for code in simulate(*stack(healthy), physics).failure}
     evolved = check_equal(f"outcomes of {len(healthy)} evolved robots", ["ok"], sorted(found))
     return [*checks, evolved]

@@ -17,7 +17,7 @@ from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
 from caterpillar_env.model import joint_names
 from caterpillar_env.morphology import PARAMETERS, Body, Morphology, segments_of
 from caterpillar_env.physics import SMA_STEP_S, Physics
-from caterpillar_env.robot import Robot
+from caterpillar_env.robot import Robot, repeat, stack
 from caterpillar_env.task import Crawl
 
 FILE = Path(__file__).with_name("evolved.json")
@@ -62,16 +62,9 @@ def farthest_robots(count: int) -> list[Robot]:
     return sorted(evolved_robots(), key=lambda r: -(r.fitness_m or 0.0))[:count]
 
 
-def stack_robots(robots: Sequence[Robot]) -> tuple[list[Body], GaitTimings]:
-    """Return the bodies and stacked gaits of robots with the same gait period, for `simulate`."""
-    on = np.stack([r.timings.on_s for r in robots])
-    off = np.stack([r.timings.off_s for r in robots])
-    return [r.morphology for r in robots], GaitTimings(robots[0].timings.period_s, on, off)
-
-
 def stack_power(robots: Sequence[Robot]) -> tuple[list[Body], Array]:
     """Return bodies, and power over one gait period for `Crawl.run`, (R, steps, springs)."""
-    bodies, timings = stack_robots(robots)
+    bodies, timings = stack(robots)
     return bodies, timings.of_springs(robots[0].physics.num_springs).power(SMA_STEP_S)
 
 
@@ -79,7 +72,19 @@ def crawl_for(
     duration_s: float, bodies: Sequence[Body], power: Array, physics: Physics, *,
     heading_rad: float = 0.0, offset_m: float = 0.0, stop_on_failure: bool = True,
 ) -> Crawl:  # fmt: skip
-    """Simulate robots for `duration_s`, repeating one period of power (R, steps, springs).
+    """Simulate robots for `duration_s`, repeating one period of power; see `start` and `repeat`."""
+    crawl = start(
+        bodies, physics, heading_rad=heading_rad, offset_m=offset_m, stop_on_failure=stop_on_failure
+    )
+    repeat(crawl, power, duration_s)
+    return crawl
+
+
+def start(
+    bodies: Sequence[Body], physics: Physics, *,
+    heading_rad: float = 0.0, offset_m: float = 0.0, stop_on_failure: bool = True,
+) -> Crawl:  # fmt: skip
+    """Return robots in their initial state.
 
     `offset_m` slightly changes the initial state to measure the sensitivity of the result. It is added
     to every axial joint. Hinges turn so that the centre of the element behind moves by the same length.
@@ -91,8 +96,4 @@ def crawl_for(
     arms_m = np.array([head.segment_length_m / 4 for head in heads])[:, None]
     offset = np.where(axial, offset_m, offset_m / arms_m)
     crawl.reset(heading_rad=heading_rad, offset=offset)
-    left = round(duration_s / SMA_STEP_S)
-    while left > 0:
-        crawl.run(power[:, : min(left, power.shape[1])])
-        left -= power.shape[1]
     return crawl

@@ -12,9 +12,8 @@ from matplotlib.figure import Figure
 from caterpillar_env.arrays import Array
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.physics import Physics
-from caterpillar_env.robot import Robot, simulate
+from caterpillar_env.robot import Robot, simulate, stack
 from caterpillar_env.validation.check import Check, check_near
-from caterpillar_env.validation.robots import stack_robots
 
 STOPS = "softness of the joint stops 2.5 / 10 ms"
 
@@ -47,7 +46,7 @@ def vary_parameters(robots: Sequence[Robot]) -> dict[str, Array]:
 
     They are relative to the unchanged robots, and 0 for robots that fail or move backwards, (2, robots).
     """
-    bodies, timings = stack_robots(robots)
+    bodies, timings = stack(robots)
     physics = robots[0].physics
     base_m = simulate(bodies, timings, physics).fitness()
 
@@ -67,7 +66,7 @@ def vary_parameters(robots: Sequence[Robot]) -> dict[str, Array]:
 
 def check_stops(robots: Sequence[Robot]) -> list[Check]:
     """Check that the softness of the joint stops has little effect on the median distance."""
-    bodies, timings = stack_robots(robots)
+    bodies, timings = stack(robots)
     physics = robots[0].physics
 
     def median_mm(factor: float) -> float:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from caterpillar_env.physics import SMA_STEP_S, Physics
-from caterpillar_env.robot import Outcomes, simulate
+from caterpillar_env.robot import Outcomes, simulate, stack
 from caterpillar_env.task import EPISODE_S
 from caterpillar_env.validation.check import Check, check_at_least, check_at_most
 from caterpillar_env.validation.convergence import Pair, rank_correlation
@@ -16,7 +16,6 @@ from caterpillar_env.validation.robots import (
     evolved_robots,
     random_robots,
     stack_power,
-    stack_robots,
     wave_robots,
 )
 from caterpillar_env.worlds import Slope, World
@@ -33,7 +32,7 @@ def check_creep(*, quick: bool) -> list[Check]:
     checks = []
     for slope in (Slope(angle_deg=10.0), Slope(angle_deg=20.0), Slope(20.0, "across")):
         physics = Physics(world=slope)
-        bodies, _ = stack_robots(random_robots(count, 2, physics))
+        bodies, _ = stack(random_robots(count, 2, physics))
         power = np.zeros((count, round(watch_s / SMA_STEP_S), physics.num_springs))
         crawl = crawl_for(settle_s, bodies, power, physics, stop_on_failure=False)
         before = crawl.simulation.pose().com_m
@@ -57,7 +56,7 @@ def compare_timesteps(world: World, *, quick: bool) -> tuple[Pair, Pair]:
     fine = replace(physics, timestep_s=0.001 if quick else 0.0005)
     count, duration_s = (8, 10.0) if quick else (16, EPISODE_S)
     robots = [*evolved_robots(count // 2), *wave_robots(count // 2, 4, physics)]
-    stacked = stack_robots(robots)
+    stacked = stack(robots)
     ours, reference = (simulate(*stacked, p, duration_s=duration_s) for p in (physics, fine))
     nudged = crawl_for(duration_s, *stack_power(robots), fine, offset_m=1e-6).progress()
     return Pair(ours, reference), Pair(Outcomes.of(nudged), reference)

@@ -13,11 +13,10 @@ from typing import Annotated, Literal
 import tyro
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.robot import Robot
+from caterpillar_env.robot import Robot, wave_robot
 from evolution import cli
 from evolution.run.history import History
 from evolution.run.journal import FILE as JOURNAL
-from evolution.viewer.session import nominal_robot
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class ViewArgs:
 def view_command(argv: Sequence[str]) -> int:
     """Watch a robot crawl in the browser, and change it by hand."""
     args = cli.parse(ViewArgs, argv, "view")
-    robot = nominal_robot() if args.source is None else Robot.load(args.source)
+    robot = wave_robot() if args.source is None else Robot.load(args.source)
     timing = args.timing or _find_timing(args.source)
     try:
         import viser  # noqa: F401

@@ -18,6 +18,7 @@ from caterpillar_env.files import COPY, name_of, write_bytes
 from caterpillar_env.task import EPISODE_S, Failure
 from caterpillar_env.validation.gaits import measure_gait
 from evolution.config import RunConfig
+from evolution.objective import stopped
 from evolution.priors.distributions import Gaussian
 from evolution.report import figures as draw
 from evolution.report.page import data_url, render
@@ -101,7 +102,7 @@ def page(history: History, figures: Mapping[str, str], recording: Recording | No
         incomplete=len(evaluations) - (generations[-1].evaluations if generations else 0),
         evaluations=len(evaluations),
         failed=len(evaluations) - reasons["ok"],
-        stopped=int(to_outcomes(evaluations).stopped.sum()),
+        stopped=int(stopped(to_outcomes(evaluations)).sum()),
         failures=[(f.label, reasons[f.label]) for f in Failure if reasons[f.label]],
         simulated_s=sum(e.simulated_s for e in evaluations),
         sessions=[(session, per_session[session.number]) for session in sessions],

@@ -17,9 +17,9 @@ from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.robot import Outcomes, Robot
 from caterpillar_env.task import Failure
 from evolution.config import RunConfig
+from evolution.objective import OBJECTIVES, Objective, distance, find_best, score, stopped
 from evolution.run.database import damaged
 from evolution.run.journal import Completion, Evaluation, Journal
-from evolution.run.objective import OBJECTIVES, Objective, distance, find_best, score
 
 if TYPE_CHECKING:
     import polars
@@ -195,7 +195,7 @@ class History:
             "evaluation": np.array([e.number for e in self.evaluations], dtype=np.int64),
             "generation": np.array([e.generation for e in self.evaluations], dtype=np.int64),
             "failure": [e.failure.label for e in self.evaluations],
-            "stopped": outcomes.stopped,
+            "stopped": stopped(outcomes),
             "fitness": fitness,
             "distance_m": outcomes.distance_m,
             "energy_j": outcomes.energy_j,
@@ -309,8 +309,8 @@ class History:
                 evaluations=completion.evaluations,
                 simulated_s=self.simulated_s + float(outcomes.simulated_s.sum()),
                 replayed=replayed,
-                farthest_m=max(self.farthest_m, crawled_m[~outcomes.stopped].max(initial=0.0)),
-                stopped=int(outcomes.stopped.sum()),
+                farthest_m=max(self.farthest_m, crawled_m[~stopped(outcomes)].max(initial=0.0)),
+                stopped=int(stopped(outcomes).sum()),
             )
         )
         return outcomes

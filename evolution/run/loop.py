@@ -15,11 +15,11 @@ from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError, check_number
 from caterpillar_env.files import make_folder
 from evolution.config import RunConfig
+from evolution.objective import Objective, score
 from evolution.optimizers.base import Optimizer
 from evolution.run.evaluators import Evaluator, Job, LocalEvaluator, OnProgress, run_jobs
 from evolution.run.history import Generation, History
 from evolution.run.journal import Journal, fingerprint
-from evolution.run.objective import Objective, score
 from evolution.run.racing import race
 
 

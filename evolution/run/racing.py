@@ -1,7 +1,7 @@
 """Racing: after a few gait periods, only the best share of a generation is simulated to the end.
 
 The other robots are stopped early. This is not a failure: their outcomes are those at that time, and
-`Outcomes.stopped` marks them.
+`evolution.objective.stopped` tells which.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from caterpillar_env.arrays import Array, Rows
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import EPISODE_S, CrawlState
 from evolution.config import RunConfig
+from evolution.objective import Objective, score
 from evolution.run.evaluators import Evaluator, Job, OnProgress, run_jobs
-from evolution.run.objective import Objective, score
 
 
 def race(
@@ -48,8 +48,7 @@ def race(
     first_share = first_s / (first_s + (EPISODE_S - stop_s) * count)  # of the work
     jobs = [Job(chunk, stop_s) for chunk in evaluator.split(genomes)]
     results = list(run_jobs(evaluator, encoding, jobs, on_progress, 0.0, first_share))
-    columns = zip(*(r.outcomes for r in results), strict=True)
-    outcomes = Outcomes(*(np.concatenate(column) for column in columns))
+    outcomes = Outcomes.join(r.outcomes for r in results)
     states = CrawlState.join([r.end for r in results if r.end is not None])
     ahead = evaluator.split(leaders(score(objective, outcomes, -np.inf), count))
     jobs = [Job(genomes[rows], EPISODE_S, states.rows(rows)) for rows in ahead]

@@ -19,11 +19,11 @@ import polars
 from caterpillar_env.errors import CaterpillarError, show
 from caterpillar_env.robot import AnyRobot, Outcomes, Robot
 from evolution.config import RunConfig
+from evolution.objective import score
 from evolution.run.evaluators import Evaluator
 from evolution.run.history import History
 from evolution.run.journal import FAILURES, FILE, Journal
 from evolution.run.loop import evolve, resume
-from evolution.run.objective import score
 
 _UNLIMITED = 1_000_000  # generations: the budget ends a run
 

@@ -12,10 +12,9 @@ import numpy as np
 
 from caterpillar_env.errors import CaterpillarError, to_number
 from caterpillar_env.files import read, write_json
-from caterpillar_env.robot import AnyRobot, Robot, simulate
+from caterpillar_env.robot import AnyRobot, Robot, simulate, stack
 from caterpillar_env.task import Failure
 from caterpillar_env.validation.gaits import Gait, measure_gait
-from caterpillar_env.validation.robots import stack_robots
 from evolution.study.analysis import Analysis
 from evolution.study.config import Cell, StudyConfig
 from evolution.study.results import Run, read_kept
@@ -176,7 +175,7 @@ def _simulate(robots: Sequence[AnyRobot], changes: dict[str, Any]) -> list[tuple
     """Return distance and failure of robots of one arm with other physics."""
     gaits = [robot for robot in robots if isinstance(robot, Robot)]
     if gaits and len(gaits) == len(robots):
-        end = simulate(*stack_robots(gaits), gaits[0].under(**changes).physics)
+        end = simulate(*stack(gaits), gaits[0].under(**changes).physics)
         return list(zip(end.distance_m.tolist(), end.failure.tolist(), strict=True))
     ends = [robot.under(**changes).simulate() for robot in robots]
     return [(float(end.distance_m[0]), int(end.failure[0])) for end in ends]

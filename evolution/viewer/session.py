@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from caterpillar_env.arrays import Array
-from caterpillar_env.gait import GaitTimings, count_steps
-from caterpillar_env.morphology import Morphology
-from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
+from caterpillar_env.gait import count_steps
+from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S
 from caterpillar_env.pose import Trace
 from caterpillar_env.robot import Robot
 from caterpillar_env.task import EPISODE_S, STEPS_PER_INTERVAL, Crawl, Failure, Progress
 
 _INTERVALS = count_steps(EPISODE_S, CONTROL_INTERVAL_S, "the episode")
-
-
-def nominal_robot() -> Robot:
-    """Return a robot with the nominal body and a gait that crawls.
-
-    The gait is a wave from the tail. Each pair is heated for 1 s, and ventral pairs are heated half a
-    period after dorsal pairs.
-    """
-    on_s, off_s = (0.0, 2.5, 3.3, 0.8, 1.7, 4.2), (1.0, 3.5, 4.3, 1.8, 2.7, 0.2)
-    return Robot(Morphology(), GaitTimings(5.0, np.array(on_s), np.array(off_s)), Physics())
 
 
 class Session:
@@ -104,7 +91,6 @@ class Session:
 
 
 def _power(robot: Robot) -> Array:
-    """Return the share of the drive power over one gait period, (steps, num_springs)."""
-    timings = robot.timings
-    count_steps(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
-    return timings.of_springs(robot.physics.num_springs).power(SMA_STEP_S)
+    """Return the power of a robot over one gait period, (steps, springs). The period is checked."""
+    count_steps(robot.timings.period_s, CONTROL_INTERVAL_S, "the gait period")
+    return robot.power()

@@ -5,6 +5,7 @@ import pytest
 
 from benchmarks import worlds
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.robot import wave_robot
 from caterpillar_env.worlds import World
 from evolution.study.cells import Processes, run_study
 from evolution.study.config import StudyConfig, begin
@@ -46,7 +47,7 @@ def test_a_study_without_finished_runs_is_rejected(tmp_path):
 
 
 def test_the_hand_made_wave_crawls_and_failed_robots_count_as_0():
-    wave = worlds.hand_made_robot()
+    wave = wave_robot()
     (flat_mm,) = worlds.fitness_mm([wave], World.of("flat"))
     assert flat_mm == pytest.approx(177, abs=1)  # as in docs/results/rl.md
     steep_mm = worlds.fitness_mm([wave], World.of("slope:angle_deg=45"))

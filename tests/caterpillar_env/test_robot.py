@@ -13,7 +13,6 @@ from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import FORMAT, Robot
-from caterpillar_env.task import Failure
 from evolution.config import RunConfig
 from evolution.genome import Encoding
 from evolution.run.evaluators import evaluate
@@ -232,11 +231,6 @@ def test_missing_file_and_empty_folder_are_rejected(tmp_path):
 def test_robot_of_a_genome_has_one_gait(individual):
     assert individual.timings.on_s.shape == (2,)
     assert isinstance(individual.timings, GaitTimings)
-
-
-def test_every_failure_has_a_label():
-    labels = ["ok", "diverged", "flipped", "tipped", "jumped", "veered", "sagged"]
-    assert [Failure(f).label for f in Failure] == labels
 
 
 def test_path_may_be_a_string(tmp_path):

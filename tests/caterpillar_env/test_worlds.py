@@ -12,10 +12,10 @@ from caterpillar_env import CaterpillarError, Morphology, Physics
 from caterpillar_env.ground import LOADS
 from caterpillar_env.model import build_model, model_xml
 from caterpillar_env.randomization import Conditions
-from caterpillar_env.robot import Robot, simulate
+from caterpillar_env.robot import Robot, simulate, stack
 from caterpillar_env.simulation import Simulation
 from caterpillar_env.task import Crawl, Failure
-from caterpillar_env.validation.robots import evolved_robots, stack_robots
+from caterpillar_env.validation.robots import evolved_robots
 from caterpillar_env.worlds import WORLDS, Flat, Patches, Rough, Slope, Steps, World
 
 EVERY = ["flat", "slope", "slope:direction=across", "steps", "steps:direction=down", "rough", "patches"]
@@ -200,7 +200,7 @@ def test_sampled_friction_scales_tiles():
 
 @pytest.mark.parametrize("text", ["slope", "rough", "patches"])
 def test_rows_and_threads_do_not_matter(text):
-    bodies, timings = stack_robots(evolved_robots(3))
+    bodies, timings = stack(evolved_robots(3))
     physics = Physics(world=text)
     together = simulate(bodies, timings, physics, threads=2, duration_s=2.0)
     alone = simulate(bodies[1:2], replace_rows(timings, 1), physics, threads=1, duration_s=2.0)

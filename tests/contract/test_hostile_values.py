@@ -20,7 +20,7 @@ from caterpillar_env.errors import CaterpillarError, check_number, from_mapping
 from caterpillar_env.files import parse_json, read
 from caterpillar_env.gait import GaitTimings, count_steps
 from caterpillar_env.randomization import Randomization
-from caterpillar_env.robot import Robot, simulate
+from caterpillar_env.robot import Robot, simulate, wave_robot
 from caterpillar_env.worlds import WORLDS
 from evolution.config import RunConfig
 from evolution.genome import Encoding
@@ -28,7 +28,6 @@ from evolution.optimizers.cma_es import CmaConfig
 from evolution.optimizers.ga import GaConfig
 from evolution.optimizers.shade import ShadeConfig
 from evolution.study.config import StudyConfig
-from evolution.viewer.session import nominal_robot
 
 
 @pytest.fixture(autouse=True)
@@ -170,7 +169,7 @@ def places(data, path=()):
         yield from places(value, (*path, key))
 
 
-ROBOT = nominal_robot().to_dict()
+ROBOT = wave_robot().to_dict()
 
 
 @pytest.mark.parametrize("place", list(places(ROBOT)), ids=lambda p: ".".join(map(str, p)))
@@ -194,7 +193,7 @@ def test_genomes_and_gaits():
         attempt(lambda v: GaitTimings(5.0, v, v), value)
         attempt(lambda v: GaitTimings(v, [1.0], [2.0]), value)
         attempt(lambda v: count_steps(v, 0.01, "it"), value)
-        attempt(lambda v: nominal_robot().simulate(v, duration_s=0.1), value)
+        attempt(lambda v: wave_robot().simulate(v, duration_s=0.1), value)
 
 
 @pytest.mark.parametrize("seed", range(6))

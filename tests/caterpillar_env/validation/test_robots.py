@@ -2,11 +2,11 @@ import numpy as np
 
 from caterpillar_env import Morphology, Physics
 from caterpillar_env.model import joint_names
+from caterpillar_env.robot import stack
 from caterpillar_env.validation.robots import (
-    crawl_for,
     evolved_robots,
     farthest_robots,
-    stack_robots,
+    start,
 )
 
 
@@ -17,7 +17,7 @@ def test_evolved_robots_come_from_different_runs_and_reproduce_their_fitness():
     best = robots[:2]
     for robot in best:
         assert robot.simulate().fitness()[0] == robot.fitness_m
-    bodies, timings = stack_robots(best)
+    bodies, timings = stack(best)
     assert bodies == [r.morphology for r in best]
     assert np.array_equal(timings.on_s[1], best[1].timings.on_s)
 
@@ -30,7 +30,7 @@ def test_farthest_robots_have_the_highest_fitness():
 def test_start_is_moved_by_the_same_length_at_every_joint():
     physics = Physics(num_segments=2)
     bodies = [Morphology(segment_length_m=length_m) for length_m in (0.026, 0.034)]
-    crawl = crawl_for(0.0, bodies, np.zeros((2, 10, 4)), physics, offset_m=1e-6)
+    crawl = start(bodies, physics, offset_m=1e-6)
     names = joint_names(2)
     for body, row in zip(bodies, crawl.simulation.state().joint_position, strict=True):
         for name, moved in zip(names, row, strict=True):

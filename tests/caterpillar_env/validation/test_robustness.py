@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from caterpillar_env.physics import Physics
-from caterpillar_env.robot import Outcomes, simulate
+from caterpillar_env.robot import Outcomes, simulate, stack
 from caterpillar_env.validation import robustness
-from caterpillar_env.validation.robots import evolved_robots, stack_robots
+from caterpillar_env.validation.robots import evolved_robots
 
 
 @pytest.mark.slow
@@ -19,7 +19,7 @@ def test_each_parameter_is_changed_alone_and_plotted(tmp_path):
         if name != robustness.STOPS:  # it does not affect robots that never reach a stop
             assert not np.array_equal(low, high), name
     slippery = replace(robots[0].physics, friction=0.4)
-    expected_m = simulate(*stack_robots(robots), slippery).fitness()
+    expected_m = simulate(*stack(robots), slippery).fitness()
     assert ratios["friction 0.4 / 1.2"][0] == expected_m / robots[0].simulate().fitness()
     robustness.plot_parameters(ratios, tmp_path / "tornado.png")
     assert (tmp_path / "tornado.png").stat().st_size > 10_000

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from caterpillar_env.gait import GaitTimings
+from caterpillar_env.robot import wave_robot
 from evolution import cli
 from evolution.config import RunConfig
 from evolution.run.journal import Journal
-from evolution.viewer.session import nominal_robot
 
 MAIN = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); \
 from evolution.cli import main; sys.exit(main())"
@@ -24,7 +24,7 @@ from evolution.cli import main; sys.exit(main())"
 
 def test_the_page_is_served_on_loopback_until_ctrl_c(tmp_path):
     pytest.importorskip("viser")
-    nominal_robot().save(tmp_path / "best.json")
+    wave_robot().save(tmp_path / "best.json")
     process = subprocess.Popen(
         [sys.executable, "-c", MAIN, "view", str(tmp_path), "--port", "0"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -57,7 +57,7 @@ def test_wrong_input_raises_a_helpful_error(arguments, hint, tmp_path, monkeypat
     pytest.importorskip("viser")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "other.json").write_text("[1]")
-    robot, times_s = nominal_robot(), np.full(6, 0.1)
+    robot, times_s = wave_robot(), np.full(6, 0.1)
     replace(robot, timings=GaitTimings(0.25, times_s, times_s)).save(tmp_path / "slow.json")
     assert cli.main(["view", *arguments]) in (1, 2)
     output = capsys.readouterr()
@@ -73,7 +73,7 @@ def test_a_port_in_use_is_replaced_by_another():
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with Viewer(nominal_robot(), port) as viewer:
+        with Viewer(wave_robot(), port) as viewer:
             assert viewer.url != f"http://127.0.0.1:{port}"
 
 
@@ -95,7 +95,7 @@ def test_sliders_are_those_of_the_genes_of_the_run(tmp_path, monkeypatch, settin
     pytest.importorskip("viser")
     (tmp_path / "run").mkdir()
     with Journal.create(tmp_path / "run", RunConfig(prior="uniform", **settings).to_dict()):
-        nominal_robot().save(tmp_path / "run" / "best.json")
+        wave_robot().save(tmp_path / "run" / "best.json")
     shown = []
 
     def record(robot, port, timing):

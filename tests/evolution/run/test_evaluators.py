@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes
 from evolution.genome import Encoding
@@ -13,15 +14,6 @@ GENOMES = np.random.default_rng(0).random((12, 12))
 JOBS = [Job(GENOMES[:5]), Job(GENOMES[5:6]), Job(GENOMES[6:])]
 
 
-def joined(results):
-    columns = zip(*(result.outcomes for result in results), strict=True)
-    return Outcomes(*(np.concatenate(column) for column in columns))
-
-
-def same(one, other):
-    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
-
-
 @pytest.fixture(scope="module")
 def reference():
     return evaluate(GENOMES, ENCODING, threads=1)
@@ -30,7 +22,8 @@ def reference():
 @pytest.mark.parametrize("threads", [1, 2, 4])
 def test_threads_and_chunks_do_not_matter(reference, threads):
     with LocalEvaluator(threads) as evaluator:
-        assert same(joined(evaluator.map(ENCODING, JOBS)), reference)
+        joined = Outcomes.join(result.outcomes for result in evaluator.map(ENCODING, JOBS))
+    np.testing.assert_equal(joined, reference)
 
 
 def test_progress_runs_to_the_end_of_each_chunk():
@@ -40,3 +33,8 @@ def test_progress_runs_to_the_end_of_each_chunk():
             assert shares[-1] == pytest.approx(1.0)
     assert shares == 2 * sorted(set(shares)), "each chunk is reported in increasing steps"
     assert len(set(shares)) >= 10
+
+
+def test_genomes_of_another_robot_are_refused():
+    with pytest.raises(CaterpillarError, match=r"\(P, 12\)"):
+        evaluate(np.zeros((1, 20)), ENCODING)

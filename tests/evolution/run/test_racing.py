@@ -8,9 +8,9 @@ import pytest
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
 from evolution import History, RunConfig, evolve, resume
+from evolution.objective import distance, find_best, stopped
 from evolution.optimizers.ga import GaConfig
 from evolution.run.evaluators import Job, LocalEvaluator, evaluate, run_job
-from evolution.run.objective import distance, find_best
 from evolution.run.racing import leaders, race
 
 CONFIG = RunConfig(
@@ -55,21 +55,20 @@ def test_robots_that_go_on_end_as_without_a_race(raced, complete):
 
 def test_other_robots_stop_after_two_periods_with_what_they_did(raced):
     early = run_job(Job(GENOMES, 10.0), ENCODING, threads=1).outcomes
-    stopped = raced.stopped
-    assert stopped.any()
-    assert set(raced.simulated_s[stopped]) == {10.0}
-    for one, other in zip(raced, early, strict=True):
-        np.testing.assert_array_equal(one[stopped], other[stopped])
+    behind = stopped(raced)
+    assert behind.any()
+    assert set(raced.simulated_s[behind]) == {10.0}
+    np.testing.assert_equal(raced.rows(behind), early.rows(behind))
 
 
 def test_robots_that_go_on_were_ahead(raced):
     early = run_job(Job(GENOMES, 10.0), ENCODING, threads=1).outcomes
     went_on = raced.simulated_s > 10.0
-    assert early.fitness()[went_on].min() > early.fitness()[raced.stopped].max()
+    assert early.fitness()[went_on].min() > early.fitness()[stopped(raced)].max()
 
 
 def test_seconds_are_those_that_were_simulated(raced, complete):
-    expected = np.where(raced.stopped, 10.0, complete.simulated_s)
+    expected = np.where(stopped(raced), 10.0, complete.simulated_s)
     np.testing.assert_array_equal(raced.simulated_s, expected)
 
 
@@ -99,11 +98,11 @@ def test_failed_robot_does_not_go_on_even_if_the_others_are_behind():
 
 
 def test_stopped_robot_is_never_the_best(raced):
-    farther = raced._replace(distance_m=np.where(raced.stopped, 9.0, raced.distance_m))
+    farther = raced._replace(distance_m=np.where(stopped(raced), 9.0, raced.distance_m))
     found = find_best(distance, farther)
     assert found is not None
     index, value = found
-    assert not raced.stopped[index]
+    assert not stopped(raced)[index]
     assert value < 9.0
 
 

@@ -189,7 +189,7 @@ def test_further_conditions_need_the_saved_robots_only(compare, tmp_path, monkey
     monkeypatch.setitem(winners.CONDITIONS, "friction 0.4", other)
     found = compare({1: 0.3})
     assert [row.condition for row in found.comparisons] == ["5 ms", "friction 0.4"]
-    end = simulate([robots[3].morphology], robots[3].gaits, replace(robots[3].physics, **other))
+    end = simulate([robots[3].morphology], robots[3].timings[None], replace(robots[3].physics, **other))
     if end.failure[0] == Failure.NONE:
         assert found.comparisons[1].median_share == pytest.approx(end.distance_m[0] / 0.3)
     else:

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from caterpillar_env.robot import Robot
-from evolution.viewer.session import nominal_robot
+from caterpillar_env.robot import Robot, wave_robot
 
 pytest.importorskip("viser")
 
@@ -29,7 +28,7 @@ pytestmark = [
 
 @pytest.fixture(scope="module")
 def viewer():
-    with Viewer(nominal_robot(), 0) as viewer:
+    with Viewer(wave_robot(), 0) as viewer:
         yield viewer
 
 
@@ -138,6 +137,6 @@ def test_typed_numbers_stay_within_their_bounds_and_the_robot_can_be_saved(brows
     download.value.save_as(tmp_path / "robot.json")
     robot = Robot.load(tmp_path / "robot.json")
     assert robot.morphology.segment_radius_m == 0.0125
-    assert robot.timings.on_s.tolist() == nominal_robot().timings.on_s.tolist()
+    assert robot.timings.on_s.tolist() == wave_robot().timings.on_s.tolist()
     assert json.loads((tmp_path / "robot.json").read_text())["fitness_m"] is None
     tab.page.close()

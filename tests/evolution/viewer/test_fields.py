@@ -8,20 +8,19 @@ import pytest
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import PARAMETERS, Morphology
 from caterpillar_env.physics import Physics
-from caterpillar_env.robot import Robot
+from caterpillar_env.robot import Robot, wave_robot
 from caterpillar_env.validation.robots import random_robots
 from evolution.viewer.fields import fields_of, read_values
-from evolution.viewer.session import nominal_robot
 
 ROBOTS = {
-    "nominal": nominal_robot(),
+    "nominal": wave_robot(),
     "evolved": replace(random_robots(1, 0, Physics())[0], fitness_m=0.1, generation=3),
     "springs": Robot(
         Morphology(), GaitTimings(2.0, np.zeros(4), np.full(4, 1.2345)), Physics(num_segments=2)
     ),
-    "segments": replace(nominal_robot(), morphology=(Morphology(),) * 4),
-    "slippery": replace(nominal_robot(), physics=Physics(friction=0.0)),
-    "sticky": replace(nominal_robot(), physics=Physics(friction=2.3456)),
+    "segments": replace(wave_robot(), morphology=(Morphology(),) * 4),
+    "slippery": replace(wave_robot(), physics=Physics(friction=0.0)),
+    "sticky": replace(wave_robot(), physics=Physics(friction=2.3456)),
 }
 
 
@@ -56,7 +55,7 @@ def test_both_bounds_can_be_set_and_change_no_other_field(name, timing):
 
 
 def test_bounds_of_the_body_are_those_of_the_morphology_in_display_units():
-    robot = nominal_robot()
+    robot = wave_robot()
     body = [field for field in fields_of(robot) if field.folder == "body"]
     factors = {"m": 1000, "kg": 1000, "rad": 180 / np.pi}
     for field, p in zip(body, PARAMETERS, strict=True):
@@ -67,7 +66,7 @@ def test_bounds_of_the_body_are_those_of_the_morphology_in_display_units():
 
 
 def test_the_rounded_end_of_a_slider_sets_the_exact_bound():
-    robot = nominal_robot()
+    robot = wave_robot()
     (limit,) = (field for field in fields_of(robot) if field.gene.name == "joint_limit_rad")
     assert limit.bounds[1] == 57.3  # a little more than 1 rad
     assert limit.write(robot, 57.3).morphology.joint_limit_rad == 1.0
@@ -88,13 +87,13 @@ def test_every_parameter_has_a_field(name, counts):
 
 @pytest.mark.parametrize("value", [-1e9, 1e9, float("nan"), float("inf")])
 def test_values_out_of_bounds_are_clipped(value):
-    robot = nominal_robot()
+    robot = wave_robot()
     for field in fields_of(robot):
         assert field.read(field.write(robot, value)) == field.bounds[value > 0]
 
 
 def test_a_delay_moves_the_pairs_that_count_from_it():
-    robot = nominal_robot()
+    robot = wave_robot()
     (delay,) = (f for f in fields_of(robot, "phase") if f.gene.name == "gap2_dorsal_delay")
     before, after = robot.timings, delay.write(robot, delay.read(robot) + 10.0).timings
     moved_s = (after.on_s - before.on_s) % before.period_s

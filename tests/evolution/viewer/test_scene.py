@@ -9,7 +9,8 @@ import pytest
 from caterpillar_env.drawing.overlay import spring_rgb
 from caterpillar_env.model import build_model
 from caterpillar_env.physics import Physics
-from evolution.viewer.session import Session, nominal_robot
+from caterpillar_env.robot import wave_robot
+from evolution.viewer.session import Session
 
 pytest.importorskip("viser")
 
@@ -18,7 +19,7 @@ from evolution.viewer.scene import RobotScene
 
 @pytest.fixture
 def crawling():
-    session = Session(nominal_robot())
+    session = Session(wave_robot())
     for _ in range(20):
         session.advance()
     return session
@@ -54,7 +55,7 @@ def test_elements_springs_and_colours_match_the_model(client, crawling):
 
 
 def test_all_geoms_of_the_robot_have_their_sizes(client):
-    robot = replace(nominal_robot(), physics=Physics(num_segments=4))
+    robot = replace(wave_robot(), physics=Physics(num_segments=4))
     scene = RobotScene(client.scene)
     draw_at_start(scene, robot)
     model = build_model(robot.morphology, robot.physics)
@@ -90,7 +91,7 @@ def test_a_non_finite_pose_is_skipped(client, crawling):
 
 
 def test_a_new_body_replaces_the_previous_one(client):
-    robot = nominal_robot()
+    robot = wave_robot()
     scene = RobotScene(client.scene)
     draw_at_start(scene, robot)
     wide = replace(robot, morphology=replace(robot.morphology, segment_radius_m=0.015))
@@ -102,9 +103,9 @@ def test_a_new_body_replaces_the_previous_one(client):
 
 @pytest.mark.parametrize("world", ["steps", "rough"])
 def test_uneven_ground_is_a_mesh(client, world):
-    robot = replace(nominal_robot(), physics=Physics(world=world))
+    robot = replace(wave_robot(), physics=Physics(world=world))
     scene = RobotScene(client.scene)
-    draw_at_start(scene, nominal_robot())
+    draw_at_start(scene, wave_robot())
     draw_at_start(scene, robot)
     mesh = node(client, "/world/ground")
     x, y, z = mesh.vertices.astype(float).T
@@ -114,7 +115,7 @@ def test_uneven_ground_is_a_mesh(client, world):
 
 
 def test_a_slope_is_inclined(client):
-    robot = replace(nominal_robot(), physics=Physics(world="slope:angle_deg=30"))
+    robot = replace(wave_robot(), physics=Physics(world="slope:angle_deg=30"))
     draw_at_start(RobotScene(client.scene), robot)
     half = np.radians(15)
     wxyz = node(client, "/world").wxyz  # forward is up, so the rotation about y is negative

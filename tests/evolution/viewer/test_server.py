@@ -5,7 +5,7 @@ import urllib.request
 
 import pytest
 
-from evolution.viewer.session import nominal_robot
+from caterpillar_env.robot import wave_robot
 
 pytest.importorskip("viser")
 
@@ -18,7 +18,7 @@ from evolution.viewer.server import Viewer
 
 @pytest.fixture(scope="module")
 def url():
-    with Viewer(nominal_robot(), 0) as viewer:
+    with Viewer(wave_robot(), 0) as viewer:
         yield viewer.url
 
 

@@ -9,10 +9,10 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import SMA_STEP_S, Physics
-from caterpillar_env.robot import Robot
+from caterpillar_env.robot import Robot, wave_robot
 from caterpillar_env.sma import SmaSpring
 from caterpillar_env.task import EPISODE_S, Failure
-from evolution.viewer.session import Session, nominal_robot
+from evolution.viewer.session import Session
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
 GAIT = GaitTimings(2.0, np.array([0.0, 1.0]), np.array([0.6, 1.5]))
@@ -30,7 +30,7 @@ def run(session, intervals=300):
 
 
 def test_nominal_robot_crawls_as_in_the_fitness_evaluation():
-    robot = nominal_robot()
+    robot = wave_robot()
     session = run(Session(robot))
     assert session.finished
     outcomes = robot.simulate(threads=1)
@@ -83,7 +83,7 @@ def test_a_new_gait_does_not_restart(robot):
 
 
 def test_a_failed_robot_stops(robot):
-    wide = replace(nominal_robot(), physics=Physics(mismatch_std=3.0, mismatch_seed=1))
+    wide = replace(wave_robot(), physics=Physics(mismatch_std=3.0, mismatch_seed=1))
     session = run(Session(wide))
     assert session.failure is not Failure.NONE
     assert session.time_s < EPISODE_S

@@ -6,11 +6,13 @@ from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.physics import CONTROL_INTERVAL_S
 from caterpillar_env.robot import Outcomes
-from caterpillar_env.task import Failure
+from caterpillar_env.task import EPISODE_S, Failure
 
 ObjectiveName = Literal["distance", "distance-per-energy"]
 #: Takes the outcomes of P robots and returns P numbers, shape (P,). Higher is better.
@@ -56,6 +58,12 @@ def score(objective: Objective, outcomes: Outcomes, failed_fitness: float) -> Ar
     return np.where(healthy, values, failed_fitness)
 
 
+def stopped(outcomes: Outcomes) -> NDArray[np.bool_]:
+    """Return whether each of P robots was stopped early by racing, without a failure, (P,)."""
+    early = outcomes.simulated_s < EPISODE_S - CONTROL_INTERVAL_S / 2
+    return np.asarray(early & (outcomes.failure == Failure.NONE))
+
+
 def find_best(objective: Objective, outcomes: Outcomes) -> tuple[int, float] | None:
     """Return the index of the best of P robots and its objective, or None if no robot qualifies.
 
@@ -63,7 +71,7 @@ def find_best(objective: Objective, outcomes: Outcomes) -> tuple[int, float] | N
     a built-in objective, neither do robots that did not crawl forwards. Ties go to the first robot.
     """
     values = score(objective, outcomes, -np.inf)
-    values[outcomes.stopped] = -np.inf
+    values[stopped(outcomes)] = -np.inf
     if objective in OBJECTIVES.values():
         values[values <= 0] = -np.inf
     top = int(np.argmax(values))

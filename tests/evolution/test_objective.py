@@ -1,0 +1,28 @@
+"""Objectives, and the definition of the best robot."""
+
+import numpy as np
+
+from caterpillar_env.robot import Outcomes
+from caterpillar_env.task import Failure
+from evolution.objective import OBJECTIVES, find_best, score
+
+
+def test_objectives_are_distance_and_distance_per_energy():
+    outcomes = Outcomes(
+        np.array([0, Failure.TIPPED, 0, 0]), np.array([0.06, 0.5, -0.1, 0.02]),
+        np.array([3.0, 1.0, 2.0, 0.0]), np.full(4, 30.0),
+    )  # fmt: skip
+    assert score(OBJECTIVES["distance"], outcomes, 0.001).tolist() == [0.06, 0.001, 0.0, 0.02]
+    per_energy = score(OBJECTIVES["distance-per-energy"], outcomes, 0.001)
+    assert per_energy.tolist() == [0.02, 0.001, 0.0, 0.0]  # without energy, the score is 0
+
+
+def test_the_best_robot_crawled_forwards_without_failing():
+    failure = np.array([Failure.TIPPED, 0, 0, 0])
+    energy_j = np.array([1.0, 1.0, 2.0, 1.0])
+    outcomes = Outcomes(failure, np.array([0.5, -0.1, 0.3, 0.3]), energy_j, np.full(4, 30.0))
+    assert find_best(OBJECTIVES["distance"], outcomes) == (2, 0.3)  # the first of equals
+    assert find_best(OBJECTIVES["distance-per-energy"], outcomes) == (3, 0.3)
+    backwards = Outcomes(*(column[:2] for column in outcomes))
+    assert find_best(OBJECTIVES["distance"], backwards) is None
+    assert find_best(lambda o: -o.distance_m, backwards) == (1, 0.1)  # what counts is the user's choice
