@@ -112,13 +112,13 @@ def run(seed: int, share: float, seconds: float) -> list[list[Task]]:
     return generations
 
 
-def schedule(cores: int, seed: int = 0, generations: int = 50) -> float:
+def schedule(cores: int) -> float:
     """Return the utilization that generations alone allow, if Ray needed no time.
 
     A worker that is free takes the next chunk, and no generation begins before the last chunk has ended.
     """
-    rng, busy_s, wall_s = np.random.default_rng(seed), 0.0, 0.0
-    for _ in range(generations):
+    rng, busy_s, wall_s = np.random.default_rng(0), 0.0, 0.0
+    for _ in range(50):  # generations
         costs_s, ends = draw_costs_s(rng), np.zeros(cores)
         for part in np.split(costs_s, np.cumsum(chunk_sizes(GENOMES, cores))[:-1]):
             ends[ends.argmin()] += JOB_S + part.sum()

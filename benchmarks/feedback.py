@@ -21,12 +21,12 @@ import numpy as np
 
 from baselines.config import TrainConfig, Training
 from baselines.policy import TrainedRobot
-from benchmarks.harness import report
+from benchmarks.harness import interval, report
 from caterpillar_env.arrays import Array
 from caterpillar_env.robot import AnyRobot, wave_robot
 from caterpillar_env.task import Failure
 from caterpillar_env.worlds import World
-from evolution.study.statistics import Estimate, a12, median
+from evolution.study.statistics import a12
 
 FRICTIONS = (0.4, 0.8, 1.2)
 MISMATCH_SEEDS = (101, 102, 103, 104, 105)
@@ -90,21 +90,14 @@ def compare_policies(paths: Sequence[Path], conditions: Sequence[dict[str, Any]]
             {
                 "policy": titles[key],
                 "runs": len(robots),
-                "nominal, median mm": _interval(nominal_mm),
-                "unseen, median of means, mm": _interval(mean_mm),
+                "nominal, median mm": interval(nominal_mm),
+                "unseen, median of means, mm": interval(mean_mm),
                 "worst condition, median mm": float(np.median(unseen_mm.min(axis=1))),
                 "failures, %": float(100 * failed.mean()),
                 "A12 against the first": "" if first is None else a12(mean_mm, first)._asdict(),
             }
         )
     report(f"policies under {len(conditions)} unseen conditions", rows)
-
-
-def _interval(values: Array) -> dict[str, float]:
-    """Return the median and its interval by the bootstrap."""
-    if len(values) == 1:
-        return Estimate(float(values[0]), float("nan"), float("nan"))._asdict()
-    return median(values)._asdict()
 
 
 def main() -> None:

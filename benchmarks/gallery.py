@@ -26,6 +26,7 @@ from caterpillar_env.drawing.scenery import Camera
 from caterpillar_env.drawing.video import Recording, VideoConfig, write_video
 from caterpillar_env.gait import GaitTimings, pair_names
 from caterpillar_env.ground import FOOT
+from caterpillar_env.model import ELEMENTS_PER_SEGMENT
 from caterpillar_env.morphology import LOWER, NAMES, UPPER, Morphology, length_m, segments_of
 from caterpillar_env.physics import GRAVITY_M_S2, SMA_STEP_S, Physics
 from caterpillar_env.robot import Robot
@@ -37,6 +38,7 @@ ROOT = Path(__file__).parents[1]
 STUDY = ROOT / "results" / "search"
 OUT = ROOT / "docs" / "images" / "gallery"
 ARM = "ga-uniform"  # of the study; its robots that failed are shown
+STILLS = 5  #: pictures of a gait period
 WAVE_START_S = 15.0  # start of the gait period that the figure of the wave shows
 #: The study has no robots that jumped or diverged. Springs that are much stronger make them diverge
 #: with an explicit integrator. If they are also heated in a fraction of a second, they throw robots up.
@@ -123,22 +125,21 @@ class Period(NamedTuple):
     advance_m: Array  #: of the centre of mass, (K,)
 
 
-def measure_period(robot: Robot, start_s: float = WAVE_START_S) -> Period:
+def measure_period(robot: Robot) -> Period:
     """Simulate a robot in a plain MuJoCo loop that reads the load of every foot.
 
-    Args:
-        robot: robot whose timings are those of mirrored pairs.
-        start_s: start of the period, s, a multiple of the gait period.
+    The period begins at `WAVE_START_S`. The timings of the robot are those of mirrored pairs.
     """
     physics, period_s = robot.physics, robot.timings.period_s
     crawl = Crawl([robot.morphology], physics, threads=1)
     power = robot.power()
-    periods = round(start_s / period_s) + 1
+    periods = round(WAVE_START_S / period_s) + 1
     heating = crawl.simulation.heat(np.tile(power[None], (1, periods, 1)))
     model = crawl.simulation.models[0]
     data = mujoco.MjData(model)
     segment_of = {
-        geom: model.geom_bodyid[geom] // 2 for geom in np.flatnonzero(model.geom_conaffinity == FOOT)
+        geom: model.geom_bodyid[geom] // ELEMENTS_PER_SEGMENT
+        for geom in np.flatnonzero(model.geom_conaffinity == FOOT)
     }
     steps, substeps = len(power), round(SMA_STEP_S / physics.timestep_s)
     first = (periods - 1) * steps * substeps
@@ -160,16 +161,16 @@ def measure_period(robot: Robot, start_s: float = WAVE_START_S) -> Period:
     return Period(qpos, pairs, power[:, ::2], load_n / substeps, x_m - x_m[0])
 
 
-def draw_wave(robot: Robot, stills: int = 5) -> Figure:
+def draw_wave(robot: Robot) -> Figure:
     """Draw a gait period: pictures, temperatures, loads of the feet, and advance."""
     period, physics = measure_period(robot), robot.physics
     span_s = robot.timings.period_s
     figure = Figure(figsize=(9.0, 8.4), layout="constrained")
-    grid = figure.add_gridspec(4, stills, height_ratios=[0.9, 1.7, 1.2, 1.0])
+    grid = figure.add_gridspec(4, STILLS, height_ratios=[0.9, 1.7, 1.2, 1.0])
     view = View(360, 270, "side")
     near_m = 0.75 * length_m(segments_of(robot.morphology, physics.num_segments))
     renderer = RobotRenderer(robot.morphology, physics, view, view_length_m=near_m)
-    times_s = (np.arange(stills) + 0.5) * span_s / stills
+    times_s = (np.arange(STILLS) + 0.5) * span_s / STILLS
     for column, time_s in enumerate(times_s):
         step = round(time_s / SMA_STEP_S)
         axes = figure.add_subplot(grid[0, column])

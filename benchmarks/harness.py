@@ -16,6 +16,7 @@ from rich.table import Table
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.machine import cores, processor
+from evolution.study.statistics import median
 
 Step = Callable[[int], Any]  #: a function that makes step i
 
@@ -47,6 +48,14 @@ def time_steps(cases: Mapping[str, Callable[[], Step]], steps: int, repeats: int
 def spread(values: Array) -> dict[str, float]:
     """Return median, minimum and maximum."""
     return {"median": float(np.median(values)), "min": float(values.min()), "max": float(values.max())}
+
+
+def interval(values: Array) -> dict[str, float]:
+    """Return the median and its interval by the bootstrap, which is unknown for a single value."""
+    if len(values) == 1:
+        return {"median": float(values[0]), "low": float("nan"), "high": float("nan")}
+    value, low, high = median(values)
+    return {"median": value, "low": low, "high": high}
 
 
 def report(name: str, rows: list[dict[str, Any]]) -> None:

@@ -36,6 +36,7 @@ from evolution import GaConfig, LocalEvaluator, RunConfig, ShadeConfig, evolve, 
 from evolution.optimizers.base import Optimizer
 from evolution.optimizers.ga import GeneticAlgorithm
 from evolution.priors.distributions import Gaussian, draw
+from evolution.study.results import Run
 from evolution.study.statistics import a12, expected_running_time, median
 
 BUDGET_S = 9000.0
@@ -287,12 +288,9 @@ def run(name: str, seed: int, out: Path) -> dict[str, Any]:
         resume(folder, optimizer=optimizer, evaluator=LocalEvaluator(1))
     else:
         evolve(config, folder, optimizer=optimizer, evaluator=LocalEvaluator(1))
-    table = load(folder).table()
-    spent_s = table["simulated_s"].cum_sum().to_numpy()
-    complete = ((table["failure"] == "ok") & ~table["stopped"]).to_numpy()
-    far_m = np.maximum.accumulate(np.where(complete & (spent_s <= BUDGET_S), table["distance_m"], 0.0))
-    times = {name_of(t): next(iter(spent_s[far_m >= t]), np.inf) for t in THRESHOLDS_M}
-    return {"optimizer": name, "seed": seed, "best_mm": 1000 * far_m[-1], **times}
+    made = Run.of(load(folder).table(), seed, BUDGET_S)
+    times = {name_of(t): made.time_to(t) for t in THRESHOLDS_M}
+    return {"optimizer": name, "seed": seed, "best_mm": 1000 * made.best_m[-1], **times}
 
 
 def name_of(threshold_m: float) -> str:

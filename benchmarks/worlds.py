@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from benchmarks.harness import Step, report, spread, time_steps
+from benchmarks.harness import Step, interval, report, spread, time_steps
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import NAMES, segments_of
@@ -36,7 +36,7 @@ from caterpillar_env.worlds import World
 from evolution.study.arms import EvolutionArm
 from evolution.study.config import Cell, load
 from evolution.study.results import collect, read_runs
-from evolution.study.statistics import holm, median
+from evolution.study.statistics import holm
 from evolution.study.winners import load_winner, save_winner
 
 WORLDS = (
@@ -127,7 +127,7 @@ def compare_winners(folder: Path) -> None:
         failed = dict(distance)
         for world in dict.fromkeys(worlds):
             outcomes = crawl(robots, world)
-            distance[str(world)] = _interval(1000 * outcomes.fitness())
+            distance[str(world)] = interval(1000 * outcomes.fitness())
             kinds = Counter(Failure(code).label for code in outcomes.failure if code != Failure.NONE)
             failed[str(world)] = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
         distances.append(distance)
@@ -156,15 +156,9 @@ def _compare_bodies(winners: dict[str, list[Robot]]) -> None:
     for column, gene in enumerate(NAMES):
         scale = 1.0 if gene.endswith("rad") else 1000.0
         row: dict[str, Any] = {"parameter (mm, g, rad)": gene}
-        row |= {name: _interval(scale * array[:, column]) for name, array in values.items()}
+        row |= {name: interval(scale * array[:, column]) for name, array in values.items()}
         rows.append(row | {"Kruskal-Wallis p (Holm)": corrected.get(gene, float("nan"))})
     report("bodies: median with its 95 % interval", rows)
-
-
-def _interval(values: Array) -> dict[str, float]:
-    """Return the median and its interval by the bootstrap."""
-    estimate = median(values)
-    return {"median": estimate.value, "low": estimate.low, "high": estimate.high}
 
 
 def main() -> None:

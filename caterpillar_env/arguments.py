@@ -118,3 +118,9 @@ def check_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) -> 
         got = sorted(map(str, set(chosen) - set(known))) if isinstance(chosen, Mapping) else show(chosen)
         raise CaterpillarError(f"reset options must be among {', '.join(known)}; got {got}")
     return dict(chosen)
+
+
+def check_render_mode(value: Any) -> None:
+    """Raise a `CaterpillarError` unless `value` is a render mode of the environments."""
+    if not (value is None or (isinstance(value, str) and value == "rgb_array")):
+        raise CaterpillarError(f'render_mode must be None or "rgb_array"; got {show(value)}')

@@ -10,10 +10,10 @@ import numpy as np
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from caterpillar_env.arguments import ActionMode, EpisodeConfig, check_options
+from caterpillar_env.arguments import ActionMode, EpisodeConfig, check_options, check_render_mode
 from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.episodes import Episodes, EpisodeState, WithSpec, make_generator
-from caterpillar_env.errors import CaterpillarError, show
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.faults import Faults
 from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.morphology import Morphology
@@ -106,8 +106,7 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
     ) -> None:
         arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         EzPickle.__init__(self, **arguments)
-        if not (render_mode is None or (isinstance(render_mode, str) and render_mode == "rgb_array")):
-            raise CaterpillarError(f'render_mode must be None or "rgb_array"; got {show(render_mode)}')
+        check_render_mode(render_mode)
         body = Morphology.of({} if morphology is None else morphology)
         self._episodes = Episodes([body], EpisodeConfig.of(arguments), threads=1)
         self.crawl = self._episodes.crawl

@@ -12,7 +12,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from caterpillar_env.arguments import ActionMode, EpisodeConfig, check_options, read_morphologies
+from caterpillar_env.arguments import (
+    ActionMode,
+    EpisodeConfig,
+    check_options,
+    check_render_mode,
+    read_morphologies,
+)
 from caterpillar_env.arrays import Array, Rows
 from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.env import CaterpillarEnv
@@ -90,11 +96,7 @@ class CaterpillarVectorEnv(
         arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         EzPickle.__init__(self, **arguments)
         config = EpisodeConfig.of(arguments)
-        if not (render_mode is None or (isinstance(render_mode, str) and render_mode == "rgb_array")):
-            raise CaterpillarError(
-                f'render_mode of the vector environment must be None or "rgb_array"; got '
-                f"{show(render_mode)}"
-            )
+        check_render_mode(render_mode)
         bodies = read_morphologies({} if morphology is None else morphology, num_envs)
         self.num_envs = num_envs
         self._mode = _read_mode(autoreset_mode)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -127,7 +128,7 @@ class RunConfig:
         informed = self.prior_use in ("both", use)
         return [row.distribution if informed else Uniform() for row in self.priors()]
 
-    @property
+    @cached_property
     def encoding(self) -> Encoding:
         """The mapping from genomes to robots."""
         return Encoding(self.physics, self.gait_period_s, self.genome, self.timing)

@@ -17,7 +17,6 @@ from caterpillar_env.drawing.video import Recording
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import Failure
 from evolution import cli
-from evolution.cli.running import film
 
 
 @dataclass(frozen=True)
@@ -99,5 +98,5 @@ def eval_command(argv: Sequence[str]) -> int:
     if args.video:
         path = args.robot.with_suffix(".mp4") if args.robot.is_file() else args.robot / "eval.mp4"
         recording = Recording(robots[0], timestep_s=args.timestep_s)
-        film(recording, path, cli.console())
+        cli.film(recording, path, cli.console())
     return 0

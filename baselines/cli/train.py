@@ -13,32 +13,27 @@ from baselines.config import TrainConfig, Training
 from baselines.policy import TrainedRobot
 from baselines.training import train
 from caterpillar_env.drawing.video import Recording
-from caterpillar_env.errors import CaterpillarError, check_number
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import unused
-from caterpillar_env.machine import MAX_THREADS
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.robot import Robot
 from evolution import cli
-from evolution.cli.running import film
+from evolution.cli.running import ThreadArgs
 from evolution.run.history import History
 
 
 @dataclass(frozen=True)
-class TrainArgs:
+class TrainArgs(ThreadArgs):
     """Train a policy within a budget of simulated seconds, for one body or together with the body."""
 
     out: Path | None = None
     """Folder to create; by default a new one in runs/."""
     body: Path | None = None
     """Run folder or best.json of an evolved robot, to use its body."""
-    video: bool = True
-    """Write best.mp4, a video of the best robot."""
-    threads: int = 0
-    """Number of simulation threads; 0 uses all cores."""
     config: TrainConfig = field(default_factory=TrainConfig)
 
     def __post_init__(self) -> None:
-        check_number("threads", self.threads, 0, MAX_THREADS, whole=True)
+        super().__post_init__()
         if self.body is not None and self.config.morphology != Morphology():
             raise CaterpillarError(
                 "--body sets the whole body; do not combine it with single body parameters"
@@ -96,6 +91,6 @@ def follow(run: Callable[..., Training], config: TrainConfig, video: bool) -> in
         print(f"no policy crawled forwards without failing, in {folder}")
         return 0
     if video:
-        film(Recording(TrainedRobot.load(folder)), folder / "best.mp4", console)
+        cli.film(Recording(TrainedRobot.load(folder)), folder / "best.mp4", console)
     print(f"best: {1000 * history.best.distance_m:.1f} mm in 30 s, in {folder}")
     return 0

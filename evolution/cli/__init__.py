@@ -19,9 +19,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from caterpillar_env.errors import CaterpillarError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table
+
+    from caterpillar_env.drawing.video import Recording
 
 T = TypeVar("T")
 Command = Callable[[list[str]], int]
@@ -195,3 +199,14 @@ def print_table(table: Table, width: int = 150) -> None:
     from rich.console import Console
 
     Console(width=None if sys.stdout.isatty() else width, markup=False).print(table)
+
+
+def film(recording: Recording, path: Path, console: Console) -> None:
+    """Write a video. If this fails, print the reason instead."""
+    from caterpillar_env.drawing.video import write_video
+
+    console.print(f"writing {path} ...")
+    try:
+        write_video([recording], path)
+    except CaterpillarError as error:
+        console.print(f"no video: {error}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
@@ -18,7 +17,7 @@ from evolution.run.evaluators import Evaluator, LocalEvaluator
 from evolution.run.history import Generation, History
 
 if TYPE_CHECKING:
-    from caterpillar_env.drawing.video import Recording
+    pass
 
 
 def check_address(address: str | None, evaluator: str) -> None:
@@ -27,21 +26,30 @@ def check_address(address: str | None, evaluator: str) -> None:
         raise CaterpillarError("--ray-address requires --evaluator ray")
 
 
+@dataclass(frozen=True, kw_only=True)
+class ThreadArgs:
+    """Settings of a run on this machine that do not change its result."""
+
+    threads: int = 0
+    """Number of simulation threads of this machine; 0 uses all cores."""
+    video: bool = True
+    """Write best.mp4, a video of the best robot."""
+
+    def __post_init__(self) -> None:
+        check_number("threads", self.threads, 0, MAX_THREADS, whole=True)
+
+
 @dataclass(frozen=True)
-class WorkerArgs:
+class WorkerArgs(ThreadArgs):
     """Where a run is computed, and which extra files it writes. Neither changes the result."""
 
     evaluator: Literal["local", "ray"] = "local"
     """local: threads of this machine; ray: a Ray cluster."""
     ray_address: str | None = None
     """Address of a running Ray cluster; by default $RAY_ADDRESS, or a local one is started."""
-    threads: int = 0
-    """Number of threads of the local evaluator; 0 uses all cores."""
-    video: bool = True
-    """Write best.mp4, a video of the best robot."""
 
     def __post_init__(self) -> None:
-        check_number("threads", self.threads, 0, MAX_THREADS, whole=True)
+        super().__post_init__()
         check_address(self.ray_address, self.evaluator)
 
     def make_evaluator(self) -> Evaluator:
@@ -101,7 +109,7 @@ def finish(history: History, console: Console, *, video: bool) -> int:
     if history.finished:
         console.print(f"finished: {history.ending()}")
     else:
-        console.print(f"stopped; continue with: caterpillar resume {history.folder}")
+        console.print(f"stopped; continue with: caterpillar resume {shlex.quote(str(history.folder))}")
     write_results(history, console, video=video)
     return 0 if history.finished else 130
 
@@ -115,7 +123,7 @@ def write_results(history: History, console: Console, *, video: bool) -> None:
     recording = None
     if best is not None and video and not (path.exists() and is_video_of(path, best)):
         recording = Recording(best)  # the page shows the same one
-        film(recording, path, console)
+        cli.film(recording, path, console)
     page = run_page.write(history, recording)
     if best is None:
         none_failed = "no robot crawled forwards without failing"
@@ -135,14 +143,3 @@ def print_commands(history: History) -> None:
 
     for command, purpose in next_commands(history, shlex.quote(str(history.folder))):
         print(f"next: {command}  # {purpose}")
-
-
-def film(recording: Recording, path: Path, console: Console) -> None:
-    """Write a video. If this fails, print the reason instead."""
-    from caterpillar_env.drawing.video import write_video
-
-    console.print(f"writing {path} ...")
-    try:
-        write_video([recording], path)
-    except CaterpillarError as error:
-        console.print(f"no video: {error}")

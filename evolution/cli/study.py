@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,7 +80,7 @@ def study_command(argv: Sequence[str]) -> int:
             failed = run_study(config, folder, workers, show)
     except KeyboardInterrupt:
         collect(config, folder)
-        console.print(f"stopped; continue with: caterpillar study {' '.join(argv)}")
+        console.print(f"stopped; continue with: caterpillar study {shlex.join(argv)}")
         return 130
     for cell, error in failed:
         console.print(f"{cell} failed: {error}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import os
+import shlex
 import shutil
 import sqlite3
 import time
@@ -129,7 +130,7 @@ def explain_errors(path: Path, *, reading: bool = False, advice: str = "") -> It
             raise JournalError(f"cannot read {path}: {error}; make sure that you may read it") from None
         advice = advice or (
             "Recorded evaluations are safe; make sure that the folder can be written, and run "
-            f"`caterpillar resume {path.parent}`"
+            f"`caterpillar resume {shlex.quote(str(path.parent))}`"
         )
         raise JournalError(f"cannot write {path}: {error} (is the disk full?). {advice}") from None
 

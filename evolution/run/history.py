@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -168,7 +169,7 @@ class History:
         if not self.generations:
             raise CaterpillarError(
                 f"{self.folder} has no completed generation; continue with "
-                f"`caterpillar resume {self.folder}`"
+                f"`caterpillar resume {shlex.quote(str(self.folder))}`"
             )
         leaders = []
         for _, end, best, _ in self._completions[: len(self.generations)]:
@@ -259,7 +260,7 @@ class History:
         if self.best is not None and self.kind == "evolution":
             file = self.folder / "best.json"
             if (not known and self.best is not before) or not file.exists():
-                advice = f"free some space and run `caterpillar resume {self.folder}`"
+                advice = f"free some space and run `caterpillar resume {shlex.quote(str(self.folder))}`"
                 self.robot(self.best).save(file, advice)
         if not known:  # last, so that a resumed run writes what could not be written before
             self._journal.complete(self._completions[number])

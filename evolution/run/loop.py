@@ -6,6 +6,7 @@ those evaluated before come from the journal.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -61,7 +62,9 @@ def evolve(
     own = {"own_optimizer": _name(optimizer), "own_objective": _name(objective)}
     optimizer = optimizer or config.make_optimizer()  # if this fails, no folder is made
     with evaluator or LocalEvaluator() as workers:  # if this fails, no folder is made
-        make_folder(folder, f", or continue the run in it with `caterpillar resume {folder}`")
+        make_folder(
+            folder, f", or continue the run in it with `caterpillar resume {shlex.quote(str(folder))}`"
+        )
         with Journal.create(folder, config.to_dict() | own) as journal:
             history = History(journal, objective)
             return _run(history, optimizer, workers, on_generation, on_progress)

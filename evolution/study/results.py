@@ -161,6 +161,26 @@ class Run(NamedTuple):
     generations: int  #: number of generations completed within the budget
     budget_s: float  #: simulated seconds at which the run is censored
 
+    @classmethod
+    def of(cls, rows: polars.DataFrame, seed: int, budget_s: float) -> Run:
+        """Create the progress of a run from its evaluations in order, as in `History.table`."""
+        spent_s = np.cumsum(rows["simulated_s"].to_numpy())
+        count = int(np.searchsorted(spent_s, budget_s, side="right"))
+        generation, failure = rows["generation"].to_numpy(), rows["failure"].to_numpy()
+        complete = failure == "ok"
+        if "stopped" in rows.columns:  # earlier versions had no racing
+            complete &= ~rows["stopped"].fill_null(value=False).to_numpy()
+        crawled_m = np.where(complete, np.maximum(rows["distance_m"].to_numpy(), 0.0), 0.0)
+        return cls(
+            seed=seed,
+            spent_s=spent_s[:count],
+            best_m=np.maximum.accumulate(crawled_m)[:count],
+            failure=failure[:count],
+            generation=generation[:count],
+            generations=int(generation[count] if count < len(rows) else generation[-1] + 1),
+            budget_s=budget_s,
+        )
+
     def time_to(self, distance_m: float) -> float:
         """Return the simulated time (s) at which the run reaches a distance; infinite if never."""
         place = int(np.searchsorted(self.best_m, distance_m))
@@ -189,23 +209,5 @@ def read_runs(table: polars.DataFrame, config: StudyConfig) -> dict[str, list[Ru
     for cell, rows in _split(table):
         if cell.arm not in runs or cell.seed not in config.seeds:
             continue
-        budget_s = config.budget_of(cell)
-        spent_s = np.cumsum(rows["simulated_s"].to_numpy())
-        count = int(np.searchsorted(spent_s, budget_s, side="right"))
-        generation, failure = rows["generation"].to_numpy(), rows["failure"].to_numpy()
-        complete = failure == "ok"
-        if "stopped" in rows.columns:  # earlier versions had no racing
-            complete &= ~rows["stopped"].fill_null(value=False).to_numpy()
-        crawled_m = np.where(complete, np.maximum(rows["distance_m"].to_numpy(), 0.0), 0.0)
-        runs[cell.arm].append(
-            Run(
-                seed=cell.seed,
-                spent_s=spent_s[:count],
-                best_m=np.maximum.accumulate(crawled_m)[:count],
-                failure=failure[:count],
-                generation=generation[:count],
-                generations=int(generation[count] if count < len(rows) else generation[-1] + 1),
-                budget_s=budget_s,
-            )
-        )
+        runs[cell.arm].append(Run.of(rows, cell.seed, config.budget_of(cell)))
     return runs

@@ -113,9 +113,11 @@ def retest_winners(analysis: Analysis, folder: Path, *, every_run: bool = False)
         if not found:
             continue
         best = max(found, key=lambda key: key[2])
-        changed = _retest_best(analysis, folder, found[best], _row(rows, best))
+        changed = _retest_best(analysis.config, folder, found[best], _row(rows, best))
         if every_run:
-            changed |= _retest_all(analysis, folder, {key: _row(rows, key) for key in found}, found)
+            changed |= _retest_all(
+                analysis.config, folder, {key: _row(rows, key) for key in found}, found
+            )
         if changed:
             write_json(file, [row for row in rows.values() if row["references"]])
         if end := rows[best]["references"].get(FINE):
@@ -136,10 +138,10 @@ def _is_complete(row: _Row) -> bool:
     return "gait" in row and CONDITIONS.keys() <= row["references"].keys()
 
 
-def _retest_best(analysis: Analysis, folder: Path, run: Run, row: _Row) -> bool:
+def _retest_best(config: StudyConfig, folder: Path, run: Run, row: _Row) -> bool:
     """Simulate the best robot of an arm at the reference timestep; return whether the row changed."""
     path, known = folder / "winners" / f"{row['arm']}.json", FINE in row["references"]
-    robot = None if known and path.exists() else load_winner(analysis.config, folder, row["arm"], run)
+    robot = None if known and path.exists() else load_winner(config, folder, row["arm"], run)
     if robot is None:
         return False
     path.parent.mkdir(exist_ok=True)
@@ -151,13 +153,15 @@ def _retest_best(analysis: Analysis, folder: Path, run: Run, row: _Row) -> bool:
     return True
 
 
-def _retest_all(analysis: Analysis, folder: Path, rows: dict[_Key, _Row], runs: dict[_Key, Run]) -> bool:
+def _retest_all(
+    config: StudyConfig, folder: Path, rows: dict[_Key, _Row], runs: dict[_Key, Run]
+) -> bool:
     """Simulate robots under the `CONDITIONS` that their rows lack; return whether a row changed."""
     robots: dict[_Key, AnyRobot] = {}
     for key, row in rows.items():
         if _is_complete(row):
             continue
-        robot = load_winner(analysis.config, folder, key[0], runs[key])
+        robot = load_winner(config, folder, key[0], runs[key])
         if robot is not None:
             robots[key] = robot
             save_winner(robot, folder, Cell(key[0], key[1]))

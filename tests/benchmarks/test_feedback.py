@@ -42,16 +42,16 @@ def test_policies_are_compared_by_their_mean_over_the_conditions(folders, capsys
     feedback.compare_policies(folders, conditions)
     wave, closed, bandit = json.loads(capsys.readouterr().out)["rows"]
     assert (wave["policy"], wave["runs"]) == ("hand-made wave", 1)
-    assert wave["nominal, median mm"]["value"] == pytest.approx(177, abs=1)
+    assert wave["nominal, median mm"]["median"] == pytest.approx(177, abs=1)
     assert (closed["policy"], closed["runs"]) == ("ppo phase", 2)
     assert (bandit["policy"], bandit["runs"]) == ("ppo phase bandit", 1)
     robot = TrainedRobot.load(folders[2])
-    assert bandit["nominal, median mm"]["value"] == pytest.approx(1000 * robot.fitness_m)
+    assert bandit["nominal, median mm"]["median"] == pytest.approx(1000 * robot.fitness_m)
     expected_mm = [
         1000 * replace(robot, physics=replace(robot.physics, **fields)).simulate().fitness()[0]
         for fields in conditions
     ]
-    assert bandit["unseen, median of means, mm"]["value"] == pytest.approx(np.mean(expected_mm))
+    assert bandit["unseen, median of means, mm"]["median"] == pytest.approx(np.mean(expected_mm))
     assert bandit["worst condition, median mm"] == pytest.approx(min(expected_mm))
     assert closed["A12 against the first"]["value"] == 0.5
 
@@ -72,7 +72,7 @@ def test_run_without_a_best_policy_counts_as_0(tmp_path, capsys, monkeypatch):
     train(TrainConfig(budget_s=150.0, physics=physics), tmp_path / "run")
     feedback.compare_policies([tmp_path / "run"], [{}, {}])
     _, row = json.loads(capsys.readouterr().out)["rows"]
-    assert row["nominal, median mm"]["value"] == row["unseen, median of means, mm"]["value"] == 0.0
+    assert row["nominal, median mm"]["median"] == row["unseen, median of means, mm"]["median"] == 0.0
     assert row["failures, %"] == 100.0
 
 

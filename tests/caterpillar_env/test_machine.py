@@ -31,7 +31,3 @@ def test_cores_are_limited_by_affinity_and_quota(monkeypatch, quota, cores):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {1, 5, 7})
     monkeypatch.setattr(machine, "quota", lambda: quota)
     assert machine.cores() == cores
-
-
-def test_processor_has_a_name():
-    assert machine.processor()

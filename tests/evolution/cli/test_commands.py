@@ -206,7 +206,7 @@ def test_share_done_never_decreases(budget_s):
 def test_video_is_written_unless_it_already_shows_the_best_robot(run, monkeypatch):
     history, made = load(run[0]), []
     path, console = history.folder / "best.mp4", Console(file=io.StringIO())
-    monkeypatch.setattr(running, "film", lambda *arguments: made.append(arguments))
+    monkeypatch.setattr(cli, "film", lambda *arguments: made.append(arguments))
     monkeypatch.setattr("evolution.report.run_page.write", lambda history, _: path)
     monkeypatch.setattr(
         "caterpillar_env.drawing.video.is_video_of", lambda path, robot: path.read_bytes() == b"it"
