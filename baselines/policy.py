@@ -278,7 +278,7 @@ class TrainedRobot:
         seed = self.config.seed if seed is None else seed
         return self.policy.crawl(env, seed, self.morphology, on_interval)
 
-    def under(self, **changes: Any) -> TrainedRobot:
+    def with_physics(self, **changes: Any) -> TrainedRobot:
         """Return the robot with other values of fields of `Physics`."""
         return replace(self, physics=replace(self.physics, **changes))
 

@@ -47,7 +47,7 @@ def make_conditions(
 
 def crawl(robot: AnyRobot, conditions: Sequence[dict[str, Any]]) -> tuple[Array, Array]:
     """Return the distances of a robot under each of the conditions, mm, and whether it failed."""
-    outcomes = [robot.under(**fields).simulate() for fields in conditions]
+    outcomes = [robot.with_physics(**fields).simulate() for fields in conditions]
     fitness_mm = 1000 * np.concatenate([outcome.fitness() for outcome in outcomes])
     return fitness_mm, np.concatenate([outcome.failure for outcome in outcomes]) != Failure.NONE
 

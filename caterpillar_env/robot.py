@@ -155,7 +155,7 @@ class AnyRobot(Protocol):
     ) -> Outcomes:
         """Simulate the robot, with a different timestep if `timestep_s` is given; see `simulate`."""
 
-    def under(self, **changes: Any) -> Self:
+    def with_physics(self, **changes: Any) -> Self:
         """Return the robot with other values of fields of `Physics`."""
 
     def save(self, path: Path) -> None:
@@ -181,7 +181,7 @@ class Robot:
         physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
         return simulate([self.morphology], self.timings[None], physics, **kwargs)
 
-    def under(self, **changes: Any) -> Robot:
+    def with_physics(self, **changes: Any) -> Robot:
         """Return the robot with other values of fields of `Physics`."""
         return replace(self, physics=replace(self.physics, **changes))
 

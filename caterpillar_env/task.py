@@ -1,7 +1,7 @@
 """The task is to crawl straight ahead for 30 s without falling, jumping or turning away.
 
-`judge` detects failures. `Crawl` advances robots by control intervals, stops those that fail, and
-measures their progress. The environments and the fitness evaluation both use `Crawl`.
+`update_failures` detects failures. `Crawl` advances robots by control intervals, stops those that
+fail, and measures their progress. The environments and the fitness evaluation both use `Crawl`.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ MIN_LOAD_N = 1e-6  #: below this load, the robot is in the air
 _NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # looking up enum members is slow
 
 
-class Thresholds(NamedTuple):
-    """Thresholds of the failures, checked every control interval for means over the body.
+class FailureLimits(NamedTuple):
+    """Limits beyond which robots fail, checked every control interval for means over the body.
 
-    The paper names the failures but gives no thresholds; these are ours. `up` is the vertical component
+    The paper names the failures but gives no limits; these are ours. `up` is the vertical component
     of the mean upward axis of the elements (1 upright, 0 on its side, -1 on its back). `heading` is the
     direction of their mean forward axis.
     """
@@ -70,7 +70,7 @@ class Thresholds(NamedTuple):
 
 
 @compiled
-def judge(
+def update_failures(
     rows: Rows,
     up: Array,
     clearance_m: Array,
@@ -78,7 +78,7 @@ def judge(
     heading_rad: Array,
     body_load: Array,
     diverged: NDArray[np.bool_],
-    limits: Thresholds,
+    limits: FailureLimits,
     failure: NDArray[np.int8],
 ) -> None:
     """Write the failures of R robots into `failure`. Only a divergence replaces an earlier failure.
@@ -91,7 +91,7 @@ def judge(
         heading_rad: heading relative to the goal heading, rad, (R,).
         body_load: mean share of the load that the body carries, see `Progress`, (R,).
         diverged: whether the integration became unstable, (R,).
-        limits: thresholds of the failures.
+        limits: limits beyond which robots fail.
         failure: values of `Failure`, (B,).
     """
     for r, row in enumerate(rows):
@@ -168,7 +168,7 @@ class Crawl:
         bodies: bodies of B robots.
         physics: material, numerics and number of segments.
         threads: number of threads, see `Simulation`.
-        thresholds: thresholds of the failures.
+        limits: limits beyond which robots fail.
         stop_on_failure: whether a failed robot stops. A diverged robot always stops.
 
     Attributes:
@@ -182,12 +182,12 @@ class Crawl:
         physics: Physics,
         threads: int = 0,
         *,
-        thresholds: Thresholds | None = None,
+        limits: FailureLimits | None = None,
         stop_on_failure: bool = True,
     ) -> None:
         self.simulation = Simulation(bodies, physics, threads)
         self.physics = physics
-        self.thresholds = thresholds or Thresholds()
+        self.limits = limits or FailureLimits()
         self.stop_on_failure = stop_on_failure
         self.failure = np.zeros(len(bodies), dtype=np.int8)
         self._start_m = np.zeros((len(bodies), 2))
@@ -332,9 +332,9 @@ class Crawl:
         measured = self._measured[index] = self._measure(index, pose)
         _, _, lateral_m, heading_rad, _, body_load = measured.T
         diverged = self.simulation.diverged(index)
-        judge(
+        update_failures(
             index, pose.up, pose.clearance_m, lateral_m, heading_rad, body_load, diverged,
-            self.thresholds, self.failure,
+            self.limits, self.failure,
         )  # fmt: skip
 
     def _stopped(self, index: Rows) -> NDArray[np.bool_]:

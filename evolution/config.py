@@ -164,7 +164,7 @@ class RunConfig:
         default = 4 + int(3 * np.log(len(self.encoding.genes)))
         return (self.cma.cma_population or default) * self.generations
 
-    def ending(self, generations: int, simulated_s: float, farthest_m: float) -> str | None:
+    def stop_reason(self, generations: int, simulated_s: float, farthest_m: float) -> str | None:
         """Return why the run is over, or None if another generation follows.
 
         Args:

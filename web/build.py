@@ -25,7 +25,7 @@ from caterpillar_env.morphology import PARAMETERS, Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.robot import Robot
 from caterpillar_env.sma import NODES
-from caterpillar_env.task import EPISODE_S, MIN_LOAD_N, Failure, Thresholds
+from caterpillar_env.task import EPISODE_S, MIN_LOAD_N, Failure, FailureLimits
 from evolution.genome import Encoding
 
 WEB = Path(__file__).parent
@@ -61,7 +61,7 @@ def export_data() -> dict[str, Any]:
         "episode_s": EPISODE_S,
         "min_load_n": MIN_LOAD_N,
         "failures": [failure.label for failure in Failure],
-        "thresholds": Thresholds()._asdict(),
+        "thresholds": FailureLimits()._asdict(),
         "loads": list(range(model.nsensordata))[LOADS],
         "spring": asdict(spring) | {name: getattr(spring, name) for name in derived} | {"nodes": NODES},
         "colours": spring_rgb(spring, ramp_c).round(4).tolist(),

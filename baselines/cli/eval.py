@@ -62,7 +62,7 @@ def eval_command(argv: Sequence[str]) -> int:
         actor = RandomActor(make_env(robot.config).action_space, seed)
         robot = replace(robot, policy=Policy(actor, None))
     robots = [
-        robot.under(friction=friction, mismatch_seed=mismatch_seed)
+        robot.with_physics(friction=friction, mismatch_seed=mismatch_seed)
         for friction, mismatch_seed in product(
             args.frictions or (physics.friction,), args.mismatch_seeds or (physics.mismatch_seed,)
         )

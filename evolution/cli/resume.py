@@ -32,7 +32,7 @@ def resume_command(argv: Sequence[str]) -> int:
     workers, console = args.workers, cli.console()
     history = History.read(args.folder)
     generations = max(args.generations or 0, history.config.generations)
-    ending = history.ending(generations)
+    ending = history.stop_reason(generations)
     shorter = args.generations is not None and args.generations < generations  # `resume` refuses it
     if history.finished and not shorter and ending and (args.folder / "best.json").exists():
         console.print(f"already finished: {ending}")

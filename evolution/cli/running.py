@@ -107,7 +107,7 @@ class Reporter:
 def finish(history: History, console: Console, *, video: bool) -> int:
     """Report why a run ended, write its video and page, and return the exit status."""
     if history.finished:
-        console.print(f"finished: {history.ending()}")
+        console.print(f"finished: {history.stop_reason()}")
     else:
         console.print(f"stopped; continue with: caterpillar resume {shlex.quote(str(history.folder))}")
     write_results(history, console, video=video)

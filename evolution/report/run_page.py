@@ -97,7 +97,7 @@ def page(history: History, figures: Mapping[str, str], recording: Recording | No
         changed=list(changed(history.configuration)),
         configuration=json.dumps(history.configuration, indent=2),
         finished=history.finished,
-        ending=history.ending() if history.finished else None,
+        ending=history.stop_reason() if history.finished else None,
         generations=len(generations),
         incomplete=len(evaluations) - (generations[-1].evaluations if generations else 0),
         evaluations=len(evaluations),
@@ -168,7 +168,7 @@ def next_commands(history: History, folder: str) -> list[tuple[str, str]]:
     if history.own_optimizer is None and history.own_objective is None:
         if not history.finished:
             commands.append((f"caterpillar resume {folder}", "continue the run"))
-        elif history.ending(more) is None:
+        elif history.stop_reason(more) is None:
             commands.append((f"caterpillar resume {folder} --generations {more}", "make it longer"))
     return commands
 

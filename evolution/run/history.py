@@ -134,7 +134,7 @@ class History:
         """Largest distance of a robot that did not fail, in m; 0 if there is none."""
         return self.generations[-1].farthest_m if self.generations else 0.0
 
-    def ending(self, generations: int | None = None) -> str | None:
+    def stop_reason(self, generations: int | None = None) -> str | None:
         """Return why the run is over, or None if another generation follows.
 
         Args:
@@ -143,7 +143,7 @@ class History:
         config = self.config
         if generations is not None:
             config = replace(config, generations=generations)
-        return config.ending(len(self.generations), self.simulated_s, self.farthest_m)
+        return config.stop_reason(len(self.generations), self.simulated_s, self.farthest_m)
 
     @property
     def best_robot(self) -> Robot | None:

@@ -133,7 +133,7 @@ def _run(
     config = history.config
     history.begin()
     try:
-        while history.ending() is None:
+        while history.stop_reason() is None:
             genomes = config.encoding.check(optimizer.ask())
             known = history.replay(genomes)
             _evaluate(history, genomes[known:], evaluator, on_progress)

@@ -19,8 +19,8 @@ from evolution.study.times import Runs, Threshold, Times, compare, find_speed_up
 TARGETS = 50
 
 
-class Finals(NamedTuple):
-    """Best distances of the runs of an arm when the budget of all arms is spent."""
+class Distances(NamedTuple):
+    """Best distances of the runs of an arm at a simulated time."""
 
     arm: str
     runs: int
@@ -49,7 +49,7 @@ class Analysis:
     missing: Sequence[Cell]  #: runs that are not finished
     runs: Runs  #: finished runs by arm
     times: dict[Threshold, list[Times]]
-    finals: list[Finals]
+    distances: dict[float, list[Distances]]  #: by simulated time, s; the last one is the budget
     gains: dict[int, list[Gain]]  #: by number of generations
     speed_ups: dict[str, list[tuple[float, Estimate]]]  #: by arm, with thresholds in m
     ecdf: dict[str, Array]  #: share of (run, target) pairs reached at each time of `grid_s`
@@ -71,7 +71,7 @@ def analyse(config: StudyConfig, results: Results) -> Analysis:
         missing=results.missing,
         runs=runs,
         times={threshold: find_times(config, runs, threshold) for threshold in thresholds},
-        finals=_finals(config, runs),
+        distances={t: _distances(config, runs, t) for t in (*config.compare_at_s, config.budget_s)},
         gains={count: rows for count, rows in gains.items() if rows},
         speed_ups=find_speed_ups(config, runs),
         ecdf={
@@ -84,22 +84,20 @@ def analyse(config: StudyConfig, results: Results) -> Analysis:
     )
 
 
-def _finals(config: StudyConfig, runs: Runs) -> list[Finals]:
-    final_m = {
-        arm: np.array([run.best_at(config.budget_s) for run in found]) for arm, found in runs.items()
-    }
-    a12 = compare(config, final_m, statistics.a12)
-    p = statistics.holm(compare(config, final_m, lambda a, b: float(stats.mannwhitneyu(a, b).pvalue)))
+def _distances(config: StudyConfig, runs: Runs, time_s: float) -> list[Distances]:
+    reached_m = {arm: np.array([run.best_at(time_s) for run in found]) for arm, found in runs.items()}
+    a12 = compare(config, reached_m, statistics.a12)
+    p = statistics.holm(compare(config, reached_m, lambda a, b: float(stats.mannwhitneyu(a, b).pvalue)))
     rows = []
-    for arm, values in final_m.items():
-        failures = np.concatenate([run.failure for run in runs[arm]])
+    for arm, values in reached_m.items():
+        failures = np.concatenate([run.failure[run.spent_s <= time_s] for run in runs[arm]])
         rows.append(
-            Finals(
+            Distances(
                 arm=arm,
                 runs=len(values),
                 median_m=statistics.median(values),
                 best_m=float(values.max()),
-                failed=float(np.mean(failures != "ok")),
+                failed=float(np.mean(failures != "ok")) if len(failures) else 0.0,
                 a12=a12.get(arm),
                 mann_whitney_p=p.get(arm),
             )
@@ -137,14 +135,15 @@ def summarize(analysis: Analysis) -> list[str]:
         )
     for threshold, rows in analysis.times.items():
         lines += [_summarize_times(threshold, row, config.reference_of(row.arm)) for row in rows]
-    medians = {row.arm: row.median_m.value for row in analysis.finals}
-    lines += [
-        f"{row.arm}: median final distance {_mm(row.median_m.value)}, against "
-        f"{_mm(medians[config.reference_of(row.arm)])} for {config.reference_of(row.arm)}; A12 "
-        f"{format_estimate(row.a12)}, Mann-Whitney p {format_p(row.mann_whitney_p)}."
-        for row in analysis.finals
-        if row.a12 is not None
-    ]
+    for time_s, distances in analysis.distances.items():
+        medians = {row.arm: row.median_m.value for row in distances}
+        lines += [
+            f"{row.arm}: median distance {_mm(row.median_m.value)} after {time_s:,.0f} s, against "
+            f"{_mm(medians[config.reference_of(row.arm)])} for {config.reference_of(row.arm)}; A12 "
+            f"{format_estimate(row.a12)}, Mann-Whitney p {format_p(row.mann_whitney_p)}."
+            for row in distances
+            if row.a12 is not None
+        ]
     for count, gains in analysis.gains.items():
         for gain in gains:
             if gain.ratio is not None and np.isfinite(gain.ratio.value):

@@ -54,6 +54,7 @@ class StudyConfig:
     generations: tuple[int, ...] = (50,)
     #: Thresholds in m. By default, the median distance of the reference after each of `generations`.
     thresholds_m: tuple[float, ...] = ()
+    compare_at_s: tuple[float, ...] = ()  #: simulated seconds at which distances are compared, too
     #: `base` and `arms` as given to `from_dict`.
     sources: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
@@ -90,6 +91,11 @@ class StudyConfig:
             )
         if self.long_seeds and not isinstance(self.arms[self.reference], EvolutionArm):
             raise CaterpillarError("long_seeds needs a reference that evolves robots; remove it")
+        if not all(0 < time_s < self.budget_s for time_s in self.compare_at_s):
+            raise CaterpillarError(
+                f"compare_at_s must be a list of numbers between 0 and budget_s = {self.budget_s:g}; "
+                f"got {self.compare_at_s!r}"
+            )
         if min(self.thresholds_m, default=1.0) <= 0:
             raise CaterpillarError(
                 f"thresholds_m must be a list of positive numbers; got {self.thresholds_m!r}"
@@ -191,8 +197,8 @@ def preset(name: str) -> StudyConfig:
 def begin(config: StudyConfig, folder: Path) -> None:
     """Write a study's configuration into its folder. The folder is created if it is missing.
 
-    Arms, seeds and longer runs can be added to an existing study. Its budget, its references and the
-    settings of its arms cannot be changed.
+    Arms, seeds, longer runs and `compare_at_s` can be added to an existing study. Its budget, its
+    references and the settings of its arms cannot be changed.
 
     Raises:
         CaterpillarError: the folder contains other files, or a study with different settings.

@@ -1,4 +1,4 @@
-"""Statistics of times to a threshold, which can be censored, and of final distances.
+"""Statistics of times to a threshold, which can be censored, and of distances.
 
 All functions take plain arrays with one value per run. Confidence intervals are at the level `LEVEL`.
 """

@@ -179,9 +179,9 @@ def _simulate(robots: Sequence[AnyRobot], changes: dict[str, Any]) -> list[tuple
     """Return distance and failure of robots of one arm with other physics."""
     gaits = [robot for robot in robots if isinstance(robot, Robot)]
     if gaits and len(gaits) == len(robots):
-        end = simulate(*stack(gaits), gaits[0].under(**changes).physics)
+        end = simulate(*stack(gaits), gaits[0].with_physics(**changes).physics)
         return list(zip(end.distance_m.tolist(), end.failure.tolist(), strict=True))
-    ends = [robot.under(**changes).simulate() for robot in robots]
+    ends = [robot.with_physics(**changes).simulate() for robot in robots]
     return [(float(end.distance_m[0]), int(end.failure[0])) for end in ends]
 
 

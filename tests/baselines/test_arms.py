@@ -117,7 +117,7 @@ def test_policies_are_among_all_winners_and_need_no_training_runs_then(finished,
     study = tmp_path / "study"
     shutil.copytree(finished, study)
     monkeypatch.setattr(winners, "CONDITIONS", {"slippery": {"friction": 0.3}})
-    expected = TrainedRobot.load(Cell("ppo", 0).folder(study)).under(friction=0.3).simulate()
+    expected = TrainedRobot.load(Cell("ppo", 0).folder(study)).with_physics(friction=0.3).simulate()
     analysis = analyse(load(study), collect(load(study), study))
     found = retest_winners(analysis, study, every_run=True)
     (row,) = [row for row in found.comparisons if row.arm == "ppo"]

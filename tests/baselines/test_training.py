@@ -108,7 +108,7 @@ def test_saved_robot_crawls_as_far_again(trained, tmp_path):
     again = TrainedRobot.load(tmp_path / "robot.json")
     assert again.to_dict() == robot.to_dict()
     assert again.simulate().distance_m == robot.simulate().distance_m
-    slippery = robot.under(friction=0.4)
+    slippery = robot.with_physics(friction=0.4)
     assert slippery.digest != robot.digest
     slippery.save(tmp_path / "slippery.json")
     assert TrainedRobot.load(tmp_path / "slippery.json").physics == slippery.physics

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.recorder import record_calls
 from caterpillar_env import Morphology, Physics
-from caterpillar_env.task import Crawl, Thresholds
+from caterpillar_env.task import Crawl, FailureLimits
 
 
 @pytest.fixture(scope="module")
@@ -13,7 +13,7 @@ def recording():
     """Engine calls, final state and steps of three robots. A strict threshold stops some of them."""
     rng = np.random.default_rng(0)
     bodies = [Morphology(), Morphology(segment_mass_kg=0.012), Morphology()]
-    crawl = Crawl(bodies, Physics(), 1, thresholds=Thresholds(veered_lateral_m=1e-4))
+    crawl = Crawl(bodies, Physics(), 1, limits=FailureLimits(veered_lateral_m=1e-4))
     power = rng.integers(0, 2, (2, 3, 100, 12)).astype(float)
     calls = record_calls(crawl.simulation, lambda number: crawl.run(power[number]), 2)
     end = np.stack([crawl.simulation.qpos(row) for row in range(3)])

@@ -8,7 +8,7 @@ import pytest
 from caterpillar_env import CaterpillarEnv, Morphology, Physics
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.morphology import LOWER, UPPER
-from caterpillar_env.task import Failure, Thresholds
+from caterpillar_env.task import Failure, FailureLimits
 
 SMALL = Morphology(segment_length_m=0.024, segment_radius_m=0.010, joint_limit_rad=0.4)
 ALL_ON, ALL_OFF = np.ones(12, np.int8), np.zeros(12, np.int8)
@@ -29,7 +29,7 @@ def switch_env(**kwargs):
 
 def fail_at_once(env):
     """Let every pose count as JUMPED."""
-    env.crawl.thresholds = Thresholds(jumped_clearance_m=-1.0)
+    env.crawl.limits = FailureLimits(jumped_clearance_m=-1.0)
     return env
 
 

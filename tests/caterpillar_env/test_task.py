@@ -5,10 +5,10 @@ import pytest
 
 from caterpillar_env import Morphology, Physics
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.task import Crawl, Failure, Thresholds, judge
+from caterpillar_env.task import Crawl, Failure, FailureLimits, update_failures
 
 BODY = Morphology()
-JUMP_AT_ONCE = Thresholds(jumped_clearance_m=-1.0)  # everything is "clear of the ground"
+JUMP_AT_ONCE = FailureLimits(jumped_clearance_m=-1.0)  # everything is "clear of the ground"
 
 
 def judged(up_z=1.0, clearance_m=0.0, lateral_m=0.0, heading_rad=0.0, body_load=0.0, diverged=False):
@@ -16,12 +16,12 @@ def judged(up_z=1.0, clearance_m=0.0, lateral_m=0.0, heading_rad=0.0, body_load=
         np.array([value]) for value in (clearance_m, lateral_m, heading_rad, body_load, diverged)
     )
     failure = np.zeros(1, np.int8)
-    judge(np.array([0]), np.array([[0.0, 0.0, up_z]]), *measured, Thresholds(), failure)
+    update_failures(np.array([0]), np.array([[0.0, 0.0, up_z]]), *measured, FailureLimits(), failure)
     return Failure(failure[0])
 
 
-def crawl(rows=1, thresholds=None, stop_on_failure=True):
-    return Crawl([BODY] * rows, Physics(), 1, thresholds=thresholds, stop_on_failure=stop_on_failure)
+def crawl(rows=1, limits=None, stop_on_failure=True):
+    return Crawl([BODY] * rows, Physics(), 1, limits=limits, stop_on_failure=stop_on_failure)
 
 
 def pose(robots, row, quaternion, height_m):
@@ -80,7 +80,7 @@ def test_more_severe_failure_takes_precedence():
 def test_robot_sags_after_its_body_has_carried_it_for_5_percent_of_the_episode():
     # A robot on its back is carried by its body only. With FLIPPED disabled, it may lie there for 5 %
     # of 30 s.
-    robots = crawl(thresholds=Thresholds(flipped_up=-2.0, tipped_up=-2.0))
+    robots = crawl(limits=FailureLimits(flipped_up=-2.0, tipped_up=-2.0))
     pose(robots, 0, [0, 1, 0, 0], 0.012)
     robots.run(off(intervals=14))
     assert robots.failure[0] == Failure.NONE

@@ -5,7 +5,7 @@ import pytest
 from gymnasium.wrappers import AddWhiteNoise, RenderCollection
 
 from caterpillar_env import CaterpillarEnv, CaterpillarError
-from caterpillar_env.task import Failure, Thresholds
+from caterpillar_env.task import Failure, FailureLimits
 from caterpillar_env.wrappers import RecordVideo
 from caterpillar_env.wrappers.vector import RecordVideo as RecordVectorVideo
 
@@ -104,7 +104,7 @@ def test_step_that_ends_early_gives_no_extra_frames(tmp_path):
     env = RecordVideo(make(), tmp_path, episode_trigger=always)
     env.reset(seed=0)
     env.step(ACTION)
-    env.unwrapped.crawl.thresholds = Thresholds(sagged_share=-1.0)  # fails in the next interval
+    env.unwrapped.crawl.limits = FailureLimits(sagged_share=-1.0)  # fails in the next interval
     *_, info = env.step(ACTION)
     env.reset()
     env.close()

@@ -16,7 +16,7 @@ from caterpillar_env.gait import GaitTimings
 from caterpillar_env.model import ModelBuilder
 from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.sma import SmaState, advance
-from caterpillar_env.task import Thresholds, judge
+from caterpillar_env.task import FailureLimits, update_failures
 from evolution.genome import Encoding
 
 pytestmark = pytest.mark.slow
@@ -96,7 +96,7 @@ def test_failures_have_the_same_names(page):
     }
     up, heading_rad, lateral_m, clearance_m, body_load, diverged = posture.values()
     failures, axes = np.zeros(count, np.int8), up[:, None] * [0.0, 0.0, 1.0]
-    judge(
+    update_failures(
         np.arange(count),
         axes,
         clearance_m,
@@ -104,7 +104,7 @@ def test_failures_have_the_same_names(page):
         heading_rad,
         body_load,
         diverged,
-        Thresholds(),
+        FailureLimits(),
         failures,
     )
     expected = [Failure(failure).label for failure in failures]

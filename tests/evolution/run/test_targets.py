@@ -80,7 +80,7 @@ def test_a_run_ends_with_the_first_generation_that_reaches_its_target(whole, tmp
     assert recorded(tmp_path).equals(found.until_target)
     assert load(tmp_path).finished
     assert load(tmp_path).config == found.targeted
-    ended = found.targeted.ending(found.number + 1, 0.0, result.generations[-1].farthest_m)
+    ended = found.targeted.stop_reason(found.number + 1, 0.0, result.generations[-1].farthest_m)
     assert f"was reached in generation {found.number}, " in ended
 
 
@@ -90,7 +90,7 @@ def test_a_target_just_out_of_reach_changes_nothing_but_what_is_said(whole, tmp_
     config = replace(found.config, target_m=float(np.nextafter(farthest_m, 1.0)))
     assert evolve(config, tmp_path, evaluator=invented).finished
     assert recorded(tmp_path).equals(recorded(found.folder))
-    ended = config.ending(5, 0.0, farthest_m)
+    ended = config.stop_reason(5, 0.0, farthest_m)
     assert re.fullmatch(r"all \d+ generations are complete; the target of \S+ mm was not reached", ended)
 
 
@@ -240,10 +240,10 @@ def test_a_failure_reaches_no_target_and_the_objective_does_not_matter(tmp_path)
 
 def test_whichever_of_budget_and_target_comes_first_ends_a_run():
     both = RunConfig(budget_s=100.0, target_m=0.25)
-    assert both.ending(0, 0.0, 0.0) is None
-    assert both.ending(3, 99.0, 0.24) is None
+    assert both.stop_reason(0, 0.0, 0.0) is None
+    assert both.stop_reason(3, 99.0, 0.24) is None
     budget = "the budget of 100 simulated seconds is spent; the target of 250 mm was not reached"
-    assert both.ending(3, 100.0, 0.24) == budget
+    assert both.stop_reason(3, 100.0, 0.24) == budget
     reached = "the target of 250 mm was reached in generation 2, where a robot crawled 260.0 mm"
-    assert both.ending(3, 100.0, 0.26) == both.ending(3, 60.0, 0.26) == reached
-    assert RunConfig().ending(50, 0.0, 9.0) == "all 50 generations are complete"
+    assert both.stop_reason(3, 100.0, 0.26) == both.stop_reason(3, 60.0, 0.26) == reached
+    assert RunConfig().stop_reason(50, 0.0, 9.0) == "all 50 generations are complete"

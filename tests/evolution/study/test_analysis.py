@@ -99,7 +99,7 @@ def test_times_to_the_threshold(analysis):
 
 
 def test_final_distances(analysis):
-    rows = {row.arm: row for row in analysis.finals}
+    rows = {row.arm: row for row in analysis.distances[CONFIG.budget_s]}
     assert rows["ga-uniform"].median_m.value == pytest.approx(0.0915)
     assert 0.09 <= rows["ga-uniform"].median_m.low < 0.0915 < rows["ga-uniform"].median_m.high <= 0.093
     assert rows["ga-uniform"].a12 is None
@@ -221,13 +221,34 @@ def test_speed_up_is_known_for_all_distances_that_the_reference_reached(analysis
     assert [estimate.value for _, estimate in analysis.speed_ups["random-preprocessed"]][-1] == 0.0
 
 
+def test_distances_are_compared_at_earlier_times_too(few_draws):
+    config = with_own_thresholds(compare_at_s=[25])
+    table = polars.concat(
+        [
+            runs("ga-uniform", [ramp(0.0, 0.01)] * 4, failures={(0, 0), (0, 9)}),
+            runs("ga-preprocessed", [ramp(0.03, 0.001)] * 4),
+        ]
+    )
+    found = analyse(config, Results(table, []))
+    assert list(found.distances) == [25, 100]
+    early, late = ({row.arm: row for row in rows} for rows in found.distances.values())
+    assert early["ga-uniform"].median_m.value == pytest.approx(0.01)  # two evaluations of 10 s
+    assert early["ga-uniform"].failed == pytest.approx(1 / 8)
+    assert late["ga-uniform"].failed == pytest.approx(2 / 40)
+    assert early["ga-preprocessed"].a12.value == 1.0
+    assert late["ga-preprocessed"].a12.value == 0.0
+    assert any("after 25 s, against" in line for line in summarize(found))
+
+
 def test_longer_runs_are_censored_at_their_own_budget(few_draws):
     config = with_own_thresholds(long_seeds=[1], long_budget_s=200)
     table = runs("ga-uniform", [ramp(0.0, 0.01), ramp(0.0, 0.01, 20), ramp(0.0, 0.01)])
     found = analyse(config, Results(table, []))
     time, reached = arrivals(found.runs["ga-uniform"], 0.15)
     assert (time.tolist(), reached.tolist()) == ([100, 160, 100], [False, True, False])
-    assert found.finals[0].best_m == pytest.approx(0.09)  # when the budget of all arms is spent
+    assert found.distances[config.budget_s][0].best_m == pytest.approx(
+        0.09
+    )  # when the budget of all arms is spent
 
 
 def test_summary_of_an_unfinished_study_names_what_is_missing(few_draws):

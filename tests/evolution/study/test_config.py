@@ -171,6 +171,8 @@ def test_folder_with_other_files_is_rejected(tmp_path):
         ),
         (changed(generations=["x"]), "an entry of generations = 'x' must be an integer"),
         (changed(arms={**SMALL["arms"], "a/b": {}}), "the name of an arm is used for a folder"),
+        (changed(compare_at_s=[0]), "compare_at_s must be a list of numbers between 0 and budget_s"),
+        (changed(compare_at_s=[1e9]), "compare_at_s must be a list of numbers between 0 and budget_s"),
         (changed(thresholds_m=[-1]), "thresholds_m must be a list of positive numbers; got (-1,)"),
         (changed(luck=1), "a study has no luck; its fields are base, arms, seeds"),
         ({k: v for k, v in SMALL.items() if k != "seeds"}, "seeds must be a list of distinct"),

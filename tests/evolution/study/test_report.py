@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from evolution.study import figures, report
-from evolution.study.analysis import Analysis, Finals, Gain
+from evolution.study.analysis import Analysis, Distances, Gain
 from evolution.study.config import StudyConfig
 from evolution.study.results import Run
 from evolution.study.statistics import Estimate
@@ -38,7 +38,7 @@ TIMES = Times(
     0.0162,
 )
 STUDY = Analysis(
-    config=CONFIG, missing=(), times={Threshold(0.05): [TIMES]}, finals=[], gains={}, speed_ups={},
+    config=CONFIG, missing=(), times={Threshold(0.05): [TIMES]}, distances={}, gains={}, speed_ups={},
     runs={"ga-uniform": [make_run(0, [0.0, 0.02]), make_run(1, [0.01, 0.06], ("ok", "tipped"))]},
     ecdf={"ga-uniform": np.array([0.0, 0.5])}, grid_s=np.array([0.0, 29.0, 30.0, 61.0]),
 )  # fmt: skip
@@ -107,9 +107,12 @@ def test_speed_up_is_drawn_over_the_number_of_genes():
 
 def test_page_shows_every_number_in_its_unit(tmp_path):
     median = Estimate(0.04, 0.03, 0.05)
-    finals = Finals("ga-uniform", 2, median, 0.06, 0.25, RATIO, 0.0001)
+    row = Distances("ga-uniform", 2, median, 0.06, 0.25, RATIO, 0.0001)
     analysis = replace(
-        STUDY, runs={}, finals=[finals], gains={50: [Gain("ga-uniform", 2, median, RATIO, None)]}
+        STUDY,
+        runs={},
+        distances={100.0: [row]},
+        gains={50: [Gain("ga-uniform", 2, median, RATIO, None)]},
     )
     retest = Retest(
         [Winner("ga-uniform", 1, 0.06, 0.0301, "ok")],
