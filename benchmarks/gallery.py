@@ -30,7 +30,7 @@ from caterpillar_env.model import ELEMENTS_PER_SEGMENT
 from caterpillar_env.morphology import LOWER, NAMES, UPPER, Morphology, length_m, segments_of
 from caterpillar_env.physics import GRAVITY_M_S2, SMA_STEP_S, Physics
 from caterpillar_env.robot import Robot
-from caterpillar_env.sma import SmaSpring, SmaState
+from caterpillar_env.sma import SmaSpring
 from caterpillar_env.task import EPISODE_S, Crawl, Failure
 from caterpillar_env.validation.robots import random_robots
 
@@ -155,7 +155,7 @@ def measure_period(robot: Robot) -> Period:
         for contact in data.contact:
             if contact.efc_address >= 0 and contact.geom[1] in segment_of:
                 load_n[step, segment_of[contact.geom[1]]] += data.efc_force[contact.efc_address]
-    springs = SmaState(heating.springs.enthalpy_j_kg[-steps:, 0], heating.springs.fraction[-steps:, 0])
+    springs = heating.springs.path.rows((slice(-steps, None), 0))
     celsius = springs.temperature_c(physics.spring)
     pairs = celsius.reshape(steps, -1, 2).mean(axis=2)  # the left and the right spring are equal
     return Period(qpos, pairs, power[:, ::2], load_n / substeps, x_m - x_m[0])

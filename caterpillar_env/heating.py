@@ -8,14 +8,14 @@ import numpy as np
 
 from caterpillar_env.arrays import Array, Rows, compiled
 from caterpillar_env.physics import SMA_STEP_S
-from caterpillar_env.sma import SmaSpring, SmaState, SmaStep, advance
+from caterpillar_env.sma import SmaSpring, SmaState, SmaSteps, advance
 
 
 class Heating(NamedTuple):
     """Thermal states of the springs of R robots in the next K thermal steps."""
 
     rows: Rows  #: indices of the robots, (R,)
-    springs: SmaStep  #: enthalpy and fraction after each step, (K, R, num_springs)
+    springs: SmaSteps  #: arrays of shape (K, R, num_springs)
     control: Array  #: mean fraction in each physics step (n per thermal step), (R, K n, num_springs)
     energy_j: Array  #: electrical energy of each thermal step, (K, R)
 
@@ -34,7 +34,7 @@ def heat(
         substeps: number n of physics steps in a thermal step.
     """
     steps = advance(spring, before, np.swapaxes(power, 0, 1), SMA_STEP_S, ambient_c)
-    control = _interpolate(before.fraction, steps.fraction, substeps)
+    control = _interpolate(before.fraction, steps.path.fraction, substeps)
     energy_j = steps.power.sum(axis=2) * (spring.drive_power_w * SMA_STEP_S)
     return Heating(rows, steps, control, energy_j)
 

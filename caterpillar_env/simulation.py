@@ -230,8 +230,7 @@ class Simulation:
                 f"power must have shape ({len(index)}, steps, {self.physics.num_springs}); "
                 f"got {power.shape}"
             )
-        before = SmaState(self._sma.enthalpy_j_kg[index], self._sma.fraction[index])
-        air_c = self._ambient_c[index]
+        before, air_c = self._sma.rows(index), self._ambient_c[index]
         return heat(self.physics.spring, before, power, air_c, index, self._substeps)
 
     def advance(
@@ -252,7 +251,7 @@ class Simulation:
             last: index after the last step; by default, all steps are made.
             trace: whether to record and return a trace of the steps.
         """
-        springs, energy_j = heating.springs, heating.energy_j
+        path, energy_j = heating.springs.path, heating.energy_j
         last = len(energy_j) if last is None else last
         control = heating.control[:, first * self._substeps : last * self._substeps]
         index: Rows = heating.rows
@@ -268,8 +267,7 @@ class Simulation:
         )
         self.simulated_s += (last - first) * SMA_STEP_S * len(index)
         self._steps[rows] += last - first
-        self._sma.enthalpy_j_kg[rows] = springs.enthalpy_j_kg[last - 1, chosen]
-        self._sma.fraction[rows] = springs.fraction[last - 1, chosen]
+        self._sma.enthalpy_j_kg[rows], self._sma.fraction[rows] = path.rows((last - 1, chosen))
         loads = np.add.accumulate(record["sensordata"][..., LOADS], axis=1)
         self._load_n[rows] = loads[:, -1] / control.shape[1]
         # `np.sum` would add in a different order for a single row.
@@ -278,10 +276,10 @@ class Simulation:
         self._locate(index)
         if not trace:
             return None
-        path = SmaState(springs.enthalpy_j_kg[first:last, chosen], springs.fraction[first:last, chosen])
+        springs = path.rows((slice(first, last), chosen))
         return Trace(
             record["qpos"][:, self._substeps - 1 :: self._substeps],
-            np.swapaxes(path.temperature_c(self.physics.spring), 0, 1),
+            np.swapaxes(springs.temperature_c(self.physics.spring), 0, 1),
             before_j[:, None] + used_j.T,
         )
 
@@ -321,7 +319,7 @@ class Simulation:
     def state(self, rows: Rows | None = None) -> BodyState:
         """Return the positions and velocities of the rows as new arrays."""
         index = self.rows(rows)
-        pose, sma = self.pose(index), SmaState(*(field[index] for field in self._sma))
+        pose, sma = self.pose(index), self._sma.rows(index)
         return BodyState(
             **vars(pose),
             velocity=mean_velocity(index, self._cvel, self._xpos, pose.com_m, *self._elements),

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -183,6 +183,10 @@ class SmaState(NamedTuple):
         )
         return cls(spring.specific_heat_j_kg_k * temperature_c + spring.latent_heat_j_kg * xi, xi)
 
+    def rows(self, rows: Any) -> SmaState:
+        """Return the state of some springs, or at some steps, selected as by indexing arrays."""
+        return SmaState(self.enthalpy_j_kg[rows], self.fraction[rows])
+
     def temperature_c(self, spring: SmaSpring) -> Array:
         """Return T = (H - L xi) / c, degC, shape (..., springs)."""
         return (
@@ -190,13 +194,16 @@ class SmaState(NamedTuple):
         ) / spring.specific_heat_j_kg_k
 
 
-class SmaStep(NamedTuple):
+class SmaSteps(NamedTuple):
     """Result of `advance` for springs of shape S over K steps."""
 
-    state: SmaState  #: after the last step
-    fraction: Array  #: xi after each step, shape (K,) + S
-    enthalpy_j_kg: Array  #: H after each step, shape (K,) + S
+    path: SmaState  #: after each step, arrays of shape (K,) + S
     power: Array  #: share of the drive power used in each step, shape (K,) + S
+
+    @property
+    def state(self) -> SmaState:
+        """State after the last step, arrays of shape S."""
+        return self.path.rows(-1)
 
 
 def advance(
@@ -205,7 +212,7 @@ def advance(
     power: Array,
     step_s: float,
     ambient_c: Array | float | None = None,
-) -> SmaStep:
+) -> SmaSteps:
     """Integrate the springs over K steps of `step_s` seconds.
 
     The method is exponential Euler in H. It is exact while xi and the power are constant. During the
@@ -220,7 +227,7 @@ def advance(
         ambient_c: air temperature, degC, broadcast to S; `spring.ambient_c` by default.
 
     Returns:
-        The final state, and the fraction, enthalpy and used power of each step.
+        The state after each step, and the power used in each step.
     """
     c, latent = spring.specific_heat_j_kg_k, spring.latent_heat_j_kg
     tau = spring.time_constant_s
@@ -237,7 +244,7 @@ def advance(
         gain, 1.0 - decay, decay * latent, cut_off,
     )  # fmt: skip
     enthalpy, fraction, used = path.reshape(3, len(power), *shape)
-    return SmaStep(SmaState(enthalpy[-1], fraction[-1]), fraction, enthalpy, used)
+    return SmaSteps(SmaState(enthalpy, fraction), used)
 
 
 @compiled
@@ -290,7 +297,7 @@ def _integrate(
     return path
 
 
-def settle(spring: SmaSpring, power: Array, step_s: float) -> SmaStep:
+def settle(spring: SmaSpring, power: Array, step_s: float) -> SmaSteps:
     """Repeat a period until the temperatures repeat, and return its last repetition.
 
     For the arguments, see `advance`; `power` is that of one period.

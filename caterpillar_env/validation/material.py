@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.physics import GRAVITY_M_S2
-from caterpillar_env.sma import SmaSpring, SmaState, SmaStep, advance, spring_force
+from caterpillar_env.sma import SmaSpring, SmaState, SmaSteps, advance, spring_force
 from caterpillar_env.validation.check import Check, check_at_most, check_near
 
 
@@ -31,19 +31,15 @@ def check_closed_forms() -> list[Check]:
 
 def _run(
     spring: SmaSpring, power: float, steps: int, step_s: float = 1e-3, state: SmaState | None = None
-) -> SmaStep:
+) -> SmaSteps:
     """Simulate one spring with constant power from `state`, by default cold."""
     start = state or SmaState.cold(spring, (1,))
     return advance(spring, start, np.full((steps, 1), power), step_s)
 
 
-def _temperature(spring: SmaSpring, step: SmaStep) -> Array:
+def _temperature(spring: SmaSpring, steps: SmaSteps) -> Array:
     """Return the temperature after each step, degC, (K,)."""
-    return SmaState(step.enthalpy_j_kg, step.fraction).temperature_c(spring)[:, 0]
-
-
-def _state(step: SmaStep, index: int) -> SmaState:
-    return SmaState(step.enthalpy_j_kg[index], step.fraction[index])
+    return steps.path.temperature_c(spring)[:, 0]
 
 
 def _first_order_heating() -> list[Check]:
@@ -64,7 +60,7 @@ def _adiabatic_pulse() -> Check:
     spring = replace(SmaSpring(), convection_w_m2_k=1e-6)
     sensible = spring.specific_heat_j_kg_k * (spring.austenite_finish_c - spring.ambient_c)
     expected = (sensible + spring.latent_heat_j_kg) / spring.heating_w_kg
-    fraction = _run(spring, 1.0, 2000, 5e-4).fraction
+    fraction = _run(spring, 1.0, 2000, 5e-4).path.fraction
     got = float((np.argmax(fraction >= 1.0) + 1) * 5e-4)
     return check_near("adiabatic pulse, m' (c dT + L) / (I^2 R')", expected, got, "s", abs_=5e-4)
 
@@ -94,7 +90,7 @@ def _branch_midpoints() -> list[Check]:
         ("heating", up, spring.austenite_start_c, spring.austenite_finish_c),
         ("cooling", down, spring.martensite_finish_c, spring.martensite_start_c),
     ):
-        fraction = step.fraction[:, 0]
+        fraction = step.path.fraction[:, 0]
         inside = np.flatnonzero((fraction > 0.01) & (fraction < 0.99))
         rising = inside[np.argsort(fraction[inside])]
         got = float(np.interp(0.5, fraction[rising], _temperature(spring, step)[rising]))
@@ -106,14 +102,14 @@ def _branch_midpoints() -> list[Check]:
 def _partial_loops() -> list[Check]:
     spring = SmaSpring()
     up = _run(spring, 1.0, 2000)
-    turn = int(np.argmax(up.fraction >= 0.6))
-    peak_c, peak_xi = float(_temperature(spring, up)[turn]), float(up.fraction[turn, 0])
+    turn = int(np.argmax(up.path.fraction >= 0.6))
+    peak_c, peak_xi = float(_temperature(spring, up)[turn]), float(up.path.fraction[turn, 0])
     # Cool until the fraction has fallen by 0.2, then heat to the temperature where the loop began.
-    down = _run(spring, 0.0, 6000, state=_state(up, turn))
-    low = _state(down, int(np.argmax(down.fraction <= peak_xi - 0.2)))
+    down = _run(spring, 0.0, 6000, state=up.path.rows(turn))
+    low = down.path.rows(int(np.argmax(down.path.fraction <= peak_xi - 0.2)))
     again = _run(spring, 1.0, 500, state=low)
-    back = float(np.interp(peak_c, _temperature(spring, again), again.fraction[:, 0]))
-    frozen = down.fraction[_temperature(spring, down) > spring.martensite_start_c]
+    back = float(np.interp(peak_c, _temperature(spring, again), again.path.fraction[:, 0]))
+    frozen = down.path.fraction[_temperature(spring, down) > spring.martensite_start_c]
     drift = float(np.abs(frozen - peak_xi).max())
     name = "fraction where a partial loop closes (return-point memory)"
     return [
@@ -129,7 +125,7 @@ def _energy_balance() -> Check:
     step_s, steps = 0.01, 3000
     power = np.repeat(rng.random((steps // 50, 20)), 50, axis=0).round()
     step = advance(spring, SmaState.cold(spring, (20,)), power, step_s)
-    temperature = SmaState(step.enthalpy_j_kg, step.fraction).temperature_c(spring)
+    temperature = step.path.temperature_c(spring)
     padded = np.concatenate([np.full((1, 20), spring.ambient_c), temperature])
     mean = (padded[1:] + padded[:-1]) / 2 - spring.ambient_c
     lost = spring.cooling_w_kg_k * step_s * mean.sum(axis=0)
@@ -198,8 +194,8 @@ def transformation_times_s(spring: SmaSpring) -> tuple[float, float]:
     """Return the heating time from ambient to 90 % austenite and the cooling time from Af to 10 %, s."""
     step_s = 0.005
     hot = SmaState.at(spring, np.array([spring.austenite_finish_c]), np.ones(1))
-    heating = _run(spring, 1.0, 400, step_s).fraction
-    cooling = _run(spring, 0.0, 4000, step_s, hot).fraction
+    heating = _run(spring, 1.0, 400, step_s).path.fraction
+    cooling = _run(spring, 0.0, 4000, step_s, hot).path.fraction
     return (
         float((np.argmax(heating >= 0.9) + 1) * step_s),
         float((np.argmax(cooling <= 0.1) + 1) * step_s),
@@ -242,7 +238,7 @@ def plot(path: Path) -> None:
     up = _run(spring, 1.0, 3000)
     down = _run(spring, 0.0, 6000, state=up.state)
     for word, step, colour in (("heating", up, "tab:red"), ("cooling", down, "tab:blue")):
-        right.plot(_temperature(spring, step), step.fraction, color=colour, label=word)
+        right.plot(_temperature(spring, step), step.path.fraction, color=colour, label=word)
     right.set(xlabel="temperature (degC)", ylabel="austenite fraction")
     for axis in (left, middle, right):
         axis.legend(fontsize="small", loc="upper left")

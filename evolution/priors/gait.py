@@ -95,4 +95,4 @@ def _advance_of_wave(
 def _settled_fraction(duty: Array, spring: SmaSpring, gait_period_s: float) -> Array:
     """Return the austenite fraction after each thermal step of a settled period, (steps, D)."""
     timings = GaitTimings(gait_period_s, np.zeros_like(duty), duty * gait_period_s)
-    return settle(spring, timings.power(SMA_STEP_S), SMA_STEP_S).fraction
+    return settle(spring, timings.power(SMA_STEP_S), SMA_STEP_S).path.fraction

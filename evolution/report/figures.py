@@ -85,7 +85,7 @@ def gait(robot: Robot) -> Figure:
     """Plot power and austenite fraction of each pair or spring over a period of the limit cycle."""
     spring, timings = robot.physics.spring, robot.timings
     power = timings.power(SMA_STEP_S)  # (steps, pairs or springs)
-    step = settle(spring, power, SMA_STEP_S)
+    fraction = settle(spring, power, SMA_STEP_S).path.fraction
     names = robot.timed
     seconds = np.arange(1, len(power) + 1) * SMA_STEP_S
     figure = Figure(figsize=(_WIDTH_IN, 0.8 * len(names) + 1), layout="constrained")
@@ -97,7 +97,7 @@ def gait(robot: Robot) -> Figure:
             np.append(0.0, seconds[corners]), np.append(drive[0], drive[corners]), step="pre",
             alpha=0.25, color="tab:orange", linewidth=0, label="power",
         )  # fmt: skip
-        axis.plot(seconds, step.fraction[:, index], color="tab:red", label="austenite fraction")
+        axis.plot(seconds, fraction[:, index], color="tab:red", label="austenite fraction")
         axis.set_ylabel(name.replace("_", "\n"), rotation=0, ha="right", va="center", fontsize="small")
         axis.set(ylim=(-0.05, 1.05), xlim=(0, timings.period_s), yticks=[0, 1])
     axes[0].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, fontsize="small", frameon=False)

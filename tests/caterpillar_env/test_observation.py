@@ -10,8 +10,8 @@ from caterpillar_env.task import Crawl
 BODY = Morphology()
 
 
-def crawl(rows=1, limits=None, stop_on_failure=True):
-    return Crawl([BODY] * rows, Physics(), 1, limits=limits, stop_on_failure=stop_on_failure)
+def crawl():
+    return Crawl([BODY], Physics(), 1)
 
 
 def sense(robots, morphology, clock_s):

@@ -260,7 +260,7 @@ def test_temperatures_do_not_depend_on_the_physics_timestep():
 def test_actuators_get_the_mean_fraction_of_each_physics_step():
     simulation = started([SMALL], timestep_s=0.005)
     heating = simulation.heat(np.ones((1, 200, 12)))
-    after = heating.springs.fraction[:, 0]  # of each thermal step
+    after = heating.springs.path.fraction[:, 0]  # of each thermal step
     before = np.concatenate([np.zeros((1, 12)), after[:-1]])
     assert heating.control.shape == (1, 400, 12)
     assert np.ptp(after) > 0.5

@@ -82,8 +82,8 @@ def test_adiabatic_pulse_takes_sensible_and_latent_heat():
     pulse_s = MASS_KG_M * (500 * (78 - 25) + 24_200) / (0.35**2 * OHM_M)
     done = powered(spring, 1, pulse_s, step_s=pulse_s / 100)
     assert temperature(spring, done.state) == pytest.approx(78, abs=1e-6)
-    assert done.fraction[-1, 0] == pytest.approx(1, abs=1e-6)
-    assert done.fraction[-2, 0] < 1
+    assert done.path.fraction[-1, 0] == pytest.approx(1, abs=1e-6)
+    assert done.path.fraction[-2, 0] < 1
 
 
 def test_transformation_without_latent_heat_needs_no_heat():
@@ -114,8 +114,8 @@ def test_steps_of_ten_milliseconds_are_accurate():
     pattern = [1.0, 0.0, 1.0, 0.0]
     coarse = advance(NITI, SmaState.cold(NITI, (1,)), np.repeat(pattern, 100)[:, None], 0.01)
     fine = advance(NITI, SmaState.cold(NITI, (1,)), np.repeat(pattern, 4000)[:, None], 0.00025)
-    assert 0.2 < coarse.fraction.mean() < 0.8
-    np.testing.assert_allclose(coarse.fraction, fine.fraction[39::40], atol=0.006)
+    assert 0.2 < coarse.path.fraction.mean() < 0.8
+    np.testing.assert_allclose(coarse.path.fraction, fine.path.fraction[39::40], atol=0.006)
 
 
 def test_cut_off_is_an_ideal_thermostat():
@@ -152,7 +152,7 @@ def test_any_power_history_stays_between_ambient_and_cut_off(power, current_a):
         assert temperatures.min() >= 25 - 1e-9
         assert temperatures.max() <= 120 + 1e-9
     np.testing.assert_array_equal(done.state, state)
-    assert ((done.fraction >= 0) & (done.fraction <= 1)).all()
+    assert ((done.path.fraction >= 0) & (done.path.fraction <= 1)).all()
     assert ((done.power >= 0) & (done.power <= power + 1e-12)).all()
 
 
@@ -161,7 +161,7 @@ def test_springs_are_independent_of_their_neighbours():
     together = advance(NITI, SmaState.cold(NITI, (2, 3)), power, STEP_S)
     for row in range(2):
         alone = advance(NITI, SmaState.cold(NITI, (3,)), power[:, row], STEP_S)
-        np.testing.assert_array_equal(together.fraction[:, row], alone.fraction)
+        np.testing.assert_array_equal(together.path.fraction[:, row], alone.path.fraction)
 
 
 def test_without_current_no_power_is_used():
@@ -173,10 +173,10 @@ def test_without_current_no_power_is_used():
 
 def test_final_state_is_the_last_step():
     done = powered(NITI, 1, 1.0)
-    np.testing.assert_array_equal(done.fraction[-1], done.state.fraction)
-    np.testing.assert_array_equal(done.enthalpy_j_kg[-1], done.state.enthalpy_j_kg)
+    np.testing.assert_array_equal(done.path.fraction[-1], done.state.fraction)
+    np.testing.assert_array_equal(done.path.enthalpy_j_kg[-1], done.state.enthalpy_j_kg)
     half = powered(NITI, 1, 0.5)
-    np.testing.assert_array_equal(done.enthalpy_j_kg[:50], half.enthalpy_j_kg)
+    np.testing.assert_array_equal(done.path.enthalpy_j_kg[:50], half.path.enthalpy_j_kg)
 
 
 def test_advance_does_not_change_the_given_state():
@@ -206,7 +206,7 @@ def test_branch_midpoints_are_half_austenite_when_driven_there():
     assert middle.fraction[0] == pytest.approx(0.5, abs=1e-4)
 
     cooling = powered(NITI, 0, 6.0, SmaState.at(NITI, np.array([90.0]), np.ones(1)), step_s=0.001)
-    crossing = np.argmin(np.abs(cooling.fraction[:, 0] - 0.5))
+    crossing = np.argmin(np.abs(cooling.path.fraction[:, 0] - 0.5))
     state = powered(
         NITI, 0, crossing * 0.001, SmaState.at(NITI, np.array([90.0]), np.ones(1)), 0.001
     ).state
@@ -241,7 +241,7 @@ def test_reversal_on_cooling_freezes_the_fraction():
     assert 0.2 < start.fraction[0] < 0.8
     heated = powered(NITI, 1, 0.05, start)
     assert temperature(NITI, heated.state) < 68
-    assert (heated.fraction == start.fraction[0]).all()
+    assert (heated.path.fraction == start.fraction[0]).all()
 
 
 def test_minor_loop_returns_to_its_starting_point():

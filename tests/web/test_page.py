@@ -52,7 +52,7 @@ def test_fractions_follow_the_same_path(page):
     gait = GaitTimings(5.0, 5 * rng.random(SPRINGS), 5 * rng.random(SPRINGS)).power(SMA_STEP_S)
     on = np.ones((600, SPRINGS))  # long enough to reach the cut-off
     power = np.concatenate([np.tile(gait, (4, 1)), on, 0 * on, rng.random((500, SPRINGS))])
-    expected = advance(spring, SmaState.cold(spring, (SPRINGS,)), power, SMA_STEP_S).fraction
+    expected = advance(spring, SmaState.cold(spring, (SPRINGS,)), power, SMA_STEP_S).path.fraction
     assert np.ptp(expected) == 1.0
     assert np.abs(call(page, "fractions", power.tolist()) - expected).max() < 1e-9
 
