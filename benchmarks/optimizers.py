@@ -37,7 +37,7 @@ from evolution.optimizers.base import Optimizer
 from evolution.optimizers.ga import GeneticAlgorithm
 from evolution.priors.distributions import Gaussian, draw
 from evolution.study.results import Run
-from evolution.study.statistics import a12, expected_running_time, median
+from evolution.study.statistics import a12, bootstrap, expected_running_time, median
 
 BUDGET_S = 9000.0
 THRESHOLDS_M = (0.13, 0.2)
@@ -310,8 +310,11 @@ def summarize(rows: polars.DataFrame, shade: polars.DataFrame) -> dict[str, Any]
     for threshold_m in THRESHOLDS_M:
         time_s = rows[name_of(threshold_m)].to_numpy()
         reached = np.isfinite(time_s)
-        ert = expected_running_time(np.minimum(time_s, BUDGET_S), reached)
-        summary[f"ERT to {1000 * threshold_m:.0f} mm, s"] = f"{ert:,.0f} ({reached.sum()} reached)"
+        ert = bootstrap(expected_running_time, (np.minimum(time_s, BUDGET_S), reached))
+        interval = f" ({ert.low:,.0f} to {ert.high:,.0f})" if reached.any() else ""
+        summary[f"ERT to {1000 * threshold_m:.0f} mm, s"] = (
+            f"{ert.value:,.0f}{interval}; {reached.sum()} reached"
+        )
     return summary
 
 
