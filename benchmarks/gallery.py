@@ -1,7 +1,8 @@
 """Make the pictures of docs/gallery.md.
 
 `python -m benchmarks.gallery` writes them to `docs/images/gallery`, from the robots in
-`results/search`. It takes a few minutes, most of them for the films.
+`results/search` and the policies in `results/rl-ablation`. It takes a few minutes, most of them for the
+films.
 """
 
 from __future__ import annotations
@@ -29,13 +30,15 @@ from caterpillar_env.ground import FOOT
 from caterpillar_env.model import ELEMENTS_PER_SEGMENT
 from caterpillar_env.morphology import LOWER, NAMES, UPPER, Morphology, length_m, segments_of
 from caterpillar_env.physics import GRAVITY_M_S2, SMA_STEP_S, Physics
-from caterpillar_env.robot import Robot
+from caterpillar_env.robot import Robot, wave_robot
 from caterpillar_env.sma import SmaSpring
 from caterpillar_env.task import EPISODE_S, Crawl, Failure
 from caterpillar_env.validation.robots import random_robots
 
 ROOT = Path(__file__).parents[1]
 STUDY = ROOT / "results" / "search"
+TRAINING = ROOT / "results" / "rl-ablation"
+POLICIES = {"ppo-timing": "PPO, times", "ppo-switch": "PPO, switches", "ppo-codesign": "PPO, co-design"}
 OUT = ROOT / "docs" / "images" / "gallery"
 ARM = "ga-uniform"  # of the study; its robots that failed are shown
 STILLS = 5  #: pictures of a gait period
@@ -75,6 +78,16 @@ def write_films(folder: Path, single: tuple[int, int], six: tuple[int, int]) -> 
     best = Recording(recordings[0].robot)
     write_video([best], folder / "winner.webp", VideoConfig(4.0, *single))
     write_video(recordings, folder / "winners.webp", VideoConfig(6.0, *six, "side"))
+
+
+def write_policies(folder: Path, size: tuple[int, int]) -> None:
+    """Film the hand-made wave and three policies, which need the extra `rl`."""
+    from baselines.policy import TrainedRobot
+
+    recordings = [Recording(wave_robot(), "hand-made wave")]
+    for arm, name in POLICIES.items():
+        recordings.append(Recording(TrainedRobot.load(TRAINING / "winners" / f"{arm}.json"), name))
+    write_video(recordings, folder / "policies.webp", VideoConfig(6.0, *size, "side"))
 
 
 def write_failures(folder: Path, size: tuple[int, int]) -> None:
@@ -223,7 +236,7 @@ def _show_rows(axes: Axes, colours: Array, labels: list[str], span_s: float) -> 
 
 def main() -> None:
     """Write all pictures, or those of the given kinds."""
-    kinds = ("films", "failures", "wave", "drawings")
+    kinds = ("films", "policies", "failures", "wave", "drawings")
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"{', '.join(kinds)}; all by default")
     parser.add_argument("--out", type=Path, default=OUT, help="folder for the pictures")
@@ -239,6 +252,8 @@ def main() -> None:
 
     if "films" in chosen:
         write_films(args.out, size(448, 280), size(720, 320))
+    if "policies" in chosen:
+        write_policies(args.out, size(500, 280))
     if "failures" in chosen:
         write_failures(args.out, size(288, 200))
     if "wave" in chosen:

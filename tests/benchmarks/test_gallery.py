@@ -65,6 +65,23 @@ def test_films_show_the_failures_of_the_page(shot, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.drawing
+def test_film_of_the_policies_shows_their_published_distances(tmp_path, monkeypatch):
+    recorded = []
+    monkeypatch.setattr(
+        gallery, "Recording", lambda *given: recorded.append(Recording(*given)) or recorded[-1]
+    )
+    gallery.write_policies(tmp_path, (120, 80))
+    distances_m = [recording.outcomes.distance_m[0] for recording in recorded]
+    assert distances_m[0] == pytest.approx(0.177, abs=5e-4)  # the wave
+    # PyTorch rounds differently on other CPUs.
+    recorded_m = [recording.robot.fitness_m for recording in recorded[1:]]
+    assert distances_m[1:] == pytest.approx(recorded_m, rel=1e-6)
+    with Image.open(tmp_path / "policies.webp") as film:
+        assert film.n_frames > 10
+
+
+@pytest.mark.slow
+@pytest.mark.drawing
 def test_script_draws_the_figures_of_the_page(tmp_path):
     command = [sys.executable, "-m", "benchmarks.gallery", "wave", "drawings", "--out", str(tmp_path)]
     done = subprocess.run(command, cwd=gallery.ROOT, capture_output=True, text=True, check=False)
@@ -82,4 +99,7 @@ def test_unknown_kinds_are_rejected(capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["gallery", "movies"])
     with pytest.raises(SystemExit):
         gallery.main()
-    assert "unknown kind movies; choose from films, failures, wave, drawings" in capsys.readouterr().err
+    assert (
+        "unknown kind movies; choose from films, policies, failures, wave, drawings"
+        in capsys.readouterr().err
+    )

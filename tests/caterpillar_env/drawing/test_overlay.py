@@ -41,6 +41,16 @@ def test_readout_and_legend_are_in_the_upper_corners():
     assert GREY.std() == 0  # untouched
 
 
+@pytest.mark.parametrize("width", [200, 240, 280, 300, 320, 640])
+def test_legend_is_shown_only_beside_the_numbers(width):
+    frame = np.full((160, width, 3), 128, dtype=np.uint8)
+    longest = annotate(frame, Readout(30.0, 0.196, 104.0), SPRING)
+    columns = (longest[8:22] != 128).any(axis=(0, 2))
+    panels = np.count_nonzero(np.diff(columns.astype(int)) == 1)  # each begins after a plain column
+    coloured = np.ptp(longest.astype(int), axis=2).max() > 100  # as only the legend is
+    assert (panels, coloured) == ((2, True) if width >= 320 else (1, False))
+
+
 def test_legend_has_the_colours_of_the_springs():
     legend = annotate(GREY, PLAIN, SPRING)[:70, 160:].reshape(-1, 3) / 255
     for rgb in spring_rgb(SPRING, np.array([25.0, 68.0, 120.0])):
