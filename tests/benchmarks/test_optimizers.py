@@ -17,7 +17,7 @@ SMALL = replace(
 )  # fmt: skip
 
 
-def test_a_function_that_minimizes_can_be_asked_and_told():
+def test_minimizer_becomes_an_optimizer():
     seen = []
 
     def minimize(function):

@@ -63,7 +63,7 @@ def copy_state(env):
     [copy_state, copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))],
     ids=["state", "deepcopy", "pickle"],
 )
-def test_both_branches_of_an_episode_go_on_to_the_same_bits(env, branch_of):
+def test_copied_episodes_continue_with_identical_results(env, branch_of):
     branch = branch_of(env)
     assert branch.morphology == env.morphology == Morphology(segment_length_m=0.03)
     one = go_on(env)
@@ -99,7 +99,7 @@ def test_state_of_one_robot_fills_the_rows_of_a_vector(env):
 
 
 @pytest.mark.parametrize("branch_of", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
-def test_copy_of_a_vector_goes_on_to_the_same_bits(branch_of):
+def test_copied_vector_environment_continues_with_identical_results(branch_of):
     envs = CaterpillarVectorEnv(2, threads=1, **SETTINGS)
     envs.reset(seed=0)
     actions = draw_actions(16).reshape(8, 2, 12)

@@ -35,7 +35,7 @@ def kinds(config, use="init"):
     return {type(d) for d in config.distributions(use)}
 
 
-def test_prior_may_serve_the_first_draw_or_mutation_alone():
+def test_prior_can_apply_to_initialization_or_mutation_only():
     assert kinds(RunConfig(prior_use="init")) == {Uniform, ClippedGaussian}
     assert kinds(RunConfig(prior_use="init"), "mutation") == {Uniform}
     assert kinds(RunConfig(prior_use="mutation")) == {Uniform}
@@ -43,7 +43,7 @@ def test_prior_may_serve_the_first_draw_or_mutation_alone():
 
 
 @pytest.mark.parametrize(("use", "informed"), [("init", 0), ("mutation", 1)])
-def test_optimizer_is_given_either_half_of_the_prior(use, informed):
+def test_optimizer_gets_the_prior_for_initialization_or_mutation(use, informed):
     everything_mutates = GaConfig(population=300, hall_of_fame=1, mutation_rate=1.0)
     optimizer = RunConfig(prior_use=use, ga=everything_mutates).make_optimizer()
     asked = [optimizer.ask()]
@@ -86,7 +86,7 @@ def test_clamped_prior_keeps_peaks_and_widths():
             assert other == ClippedGaussian(one.mu, one.sigma, "clamped")
 
 
-def test_optimizer_is_the_one_that_was_named():
+def test_name_selects_the_optimizer():
     assert isinstance(RunConfig(optimizer="cma-es").make_optimizer(), CmaEs)
     assert isinstance(RunConfig(optimizer="random").make_optimizer(), RandomSearch)
     assert isinstance(RunConfig(optimizer="shade").make_optimizer(), Shade)
@@ -171,7 +171,7 @@ def test_seed_changes_the_genomes_and_not_the_robot():
     assert one.tolist() == two.tolist()
 
 
-def test_arms_of_one_seed_draw_the_genes_without_a_prior_alike():
+def test_arms_with_the_same_seed_draw_the_same_uniform_genes():
     prepared, uniform = first_population(), first_population(prior="uniform")
     free = [3, 4, *range(8, 20)]  # mass, joint limit, timings
     peaked = [0, 1, 2, 5, 6, 7]

@@ -96,7 +96,7 @@ def test_timings_survive_the_way_through_the_environments_action(genomes, period
 
 @settings(deadline=None)
 @given(unit_genomes)
-def test_genomes_decode_alike_alone_and_together(genomes):
+def test_genomes_decode_identically_alone_and_in_batches(genomes):
     bodies, timings = Encoding(Physics(), PERIOD_S).decode(genomes)
     for i, genome in enumerate(genomes):
         body, gait = Encoding(Physics(), PERIOD_S).decode(genome[None])

@@ -173,7 +173,7 @@ def test_damaged_link_holds_no_robot(page, link):
     assert page.evaluate("link => caterpillar.fromLink(link)", link) is None
 
 
-def test_link_with_a_body_out_of_bounds_holds_no_robot(page):
+def test_link_with_a_body_out_of_bounds_is_ignored(page):
     robot = page.evaluate("caterpillar.winners[0].robot")
     robot["body"][0] = 1.0
     assert page.evaluate("robot => caterpillar.fromLink(caterpillar.toLink(robot))", robot) is None

@@ -103,7 +103,7 @@ def test_readout_has_time_distance_and_energy(recording, readouts):
     assert last.title == "short"
 
 
-def test_failed_robot_stands_still_and_its_failure_is_named(long_and_failed, readouts):
+def test_failed_robot_stops_and_shows_its_failure(long_and_failed, readouts):
     with open_view(long_and_failed, 64, 48, "track", 0.072) as draw:
         shown = [draw(time_s) for time_s in (11.9, 12.0, 25.0)]
     assert [r.failure for r in readouts] == ["ok", "veered", "veered"]

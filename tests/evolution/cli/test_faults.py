@@ -144,7 +144,7 @@ def test_best_robot_with_a_text_as_fitness_is_refused(run, elsewhere, capsys):
     assert "best.json: fitness_m = 'far' must be a finite number" in capsys.readouterr().err
 
 
-def test_one_changed_digit_of_the_configuration_is_told_by_every_command(run, elsewhere, capsys):
+def test_every_command_detects_a_changed_digit_of_the_configuration(run, elsewhere, capsys):
     folder = shutil.copytree(run, elsewhere / "run")
     content = (folder / FILE).read_bytes()
     assert content.count(b'"turns": 100.0') == 1

@@ -76,7 +76,7 @@ def test_roulette_draws_in_proportion_to_fitness():
 
 
 @pytest.mark.parametrize("value", [0.0, 0.03, 5e-324, 1e-300, 1e300, 1.7e308])
-def test_equal_fitness_makes_everybody_equally_likely(value):
+def test_equal_fitness_makes_all_genomes_equally_likely(value):
     draws = roulette(np.full(8, value), 20_000, np.random.default_rng(2))
     assert stats.chisquare(np.bincount(draws, minlength=8)).pvalue > 0.01
 
@@ -107,7 +107,7 @@ def test_fitness_that_is_no_weight_is_refused(bad):
     fitness=st.lists(st.floats(0.0, 1.7e308), min_size=1, max_size=30).map(np.array),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_roulette_never_points_outside_nor_at_the_worthless(fitness, seed):
+def test_roulette_never_selects_genomes_without_fitness(fitness, seed):
     draws = roulette(fitness, 20, np.random.default_rng(seed))
     assert draws.shape == (20,)
     assert np.all((draws >= 0) & (draws < len(fitness)))
@@ -140,7 +140,7 @@ def test_hall_of_fame_is_not_asked_for_again():
     assert [len(genomes) for genomes in asked] == [200, 190, 190, 190]
 
 
-def test_without_a_hall_of_fame_everybody_is_new():
+def test_without_a_hall_of_fame_all_genomes_are_new():
     asked = generations(ga(hall_of_fame=0), lambda g: g[:, 0], 3)
     assert [len(genomes) for genomes in asked] == [12, 12, 12]
 
@@ -458,7 +458,7 @@ def test_sphere_is_optimised_beyond_the_reach_of_random_search(settings, seed):
 
 
 @pytest.mark.parametrize("fitness", [0.0, 0.05])
-def test_population_without_differences_goes_on(fitness):
+def test_population_without_differences_continues(fitness):
     asked = generations(ga(), lambda g: np.full(len(g), fitness), 5)
     assert len(asked[-1]) == 9
 

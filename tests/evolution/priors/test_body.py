@@ -110,7 +110,7 @@ def changes(parameter, gene):
 
 
 @pytest.mark.parametrize(("parameter", "rising", "falling"), SIGNS, ids=lambda p: getattr(p, "name", ""))
-def test_each_gene_pushes_its_parameter_the_way_the_paper_says(parameter, rising, falling):
+def test_each_gene_changes_its_parameter_as_in_the_paper(parameter, rising, falling):
     assert {*rising, *falling} == set(parameter.gene_names)
     for gene in rising:
         assert np.all(changes(parameter, gene) > 0), gene
@@ -160,7 +160,7 @@ def test_joint_limit_and_timings_are_uniform_for_want_of_a_parameter():
     assert {r.signs for r in free.values()} == {()}
 
 
-def test_feet_are_wanted_wide_by_roll_and_yaw_alike():
+def test_roll_and_yaw_both_prefer_wide_feet():
     row = table_one()["leg_separation_m"]
     assert dict(row.signs) == {"roll stability": 1, "yaw stability": 1}
     assert "roll stability" in row.reason

@@ -136,7 +136,7 @@ def test_on_and_off_times_peak_at_those_of_the_best_wave():
 
 
 @pytest.mark.parametrize("encoding", [PHASE, replace(PHASE, kind="full")], ids=["pairs", "springs"])
-def test_prior_of_the_body_says_nothing_of_the_gait(encoding):
+def test_prior_of_the_body_leaves_the_gait_uniform(encoding):
     shapes = distributions(encoding, "body")
     assert {shape for name, shape in shapes.items() if name.startswith("gap")} == {Uniform()}
 

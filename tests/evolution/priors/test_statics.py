@@ -45,7 +45,7 @@ def test_derivatives_agree_with_finite_differences():
         assert chain.locate(q).jacobian[:, :, i] == pytest.approx(slope, abs=1e-8)
 
 
-def test_first_prismatic_joint_shortens_as_hooke_says():
+def test_first_prismatic_joint_follows_hookes_law():
     # Both pairs of the first gap are hot, and the body stays straight: 4 hot springs compress the
     # segment beyond its rest by (4 F_hot - 4 F_cold) / k, up to the travel of the joint.
     stiff = replace(PHYSICS, axial_stiffness_n_m=5000.0)
@@ -102,7 +102,7 @@ def test_equal_segments_are_one_body():
     assert np.array_equal(one, four)
 
 
-def test_robot_of_unlike_segments_stands_where_the_simulator_puts_it():
+def test_robot_with_different_segments_stands_as_in_the_simulator():
     # At rest and cold, the positions of the segments are those of the compiled robot.
     bodies = tuple(
         replace(BODY, segment_radius_m=radius, segment_length_m=length)

@@ -162,7 +162,7 @@ def test_chunk_that_kills_all_its_workers_ends_the_run(cluster, tmp_path, monkey
 
 
 @needs_ray
-def test_run_goes_on_without_a_lost_node(cluster, tmp_path):
+def test_run_continues_after_a_node_is_lost(cluster, tmp_path):
     config = RunConfig(
         seed=3, generations=6, physics=Physics(num_segments=2), ga=GaConfig(population=12)
     )

@@ -147,7 +147,7 @@ sys.exit(main())
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_a_run_on_ray_within_seconds_and_says_how_to_go_on(tmp_path):
+def test_ctrl_c_ends_a_run_on_ray_within_seconds_and_prints_how_to_resume(tmp_path):
     pytest.importorskip("ray")
     folder = tmp_path / "run"
     command = [

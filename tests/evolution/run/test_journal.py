@@ -109,7 +109,7 @@ def test_what_is_no_journal_is_refused(tmp_path):
         Journal.create(tmp_path, CONFIGURATION)
 
 
-def test_truncated_file_is_told(tmp_path):
+def test_truncated_file_is_refused(tmp_path):
     written(tmp_path, parts=(400, 400))
     path = tmp_path / FILE
     with path.open("r+b") as file:
@@ -138,7 +138,7 @@ def test_flipped_bits_are_never_taken_for_data(tmp_path, seed):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_damage_anywhere_is_told_or_harmless(tmp_path, seed):
+def test_damage_anywhere_is_detected_or_harmless(tmp_path, seed):
     genomes, _ = written(tmp_path, parts=(200,))
     path = tmp_path / FILE
     content = bytearray(path.read_bytes())
@@ -153,7 +153,7 @@ def test_damage_anywhere_is_told_or_harmless(tmp_path, seed):
     assert np.array_equal([e.genome for e in rows], genomes)
 
 
-def test_file_without_its_beginning_is_told(tmp_path):
+def test_file_without_its_beginning_is_refused(tmp_path):
     written(tmp_path)
     (tmp_path / FILE).write_bytes(b"\0" * 5000)
     with pytest.raises(JournalError):
@@ -181,7 +181,7 @@ except JournalError as error:
 """
 
 
-def test_a_full_disk_is_told_and_costs_only_what_did_not_fit(tmp_path):
+def test_full_disk_is_an_error_and_loses_only_what_did_not_fit(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", FULL_DISK, str(tmp_path)], capture_output=True, text=True, check=True
     )
@@ -311,7 +311,9 @@ def test_no_altered_or_missing_row_is_read(tmp_path, statement, message):
         ("sessions", "started", "then", "session 1 has no valid time"),
     ],
 )
-def test_damaged_text_of_an_earlier_schema_is_told(tmp_path, downgrade, table, column, value, message):
+def test_damaged_text_of_an_earlier_schema_is_detected(
+    tmp_path, downgrade, table, column, value, message
+):
     written(tmp_path)
     downgrade(tmp_path, 2)
     edit(tmp_path, f"UPDATE {table} SET {column} = ?", value)
@@ -343,7 +345,7 @@ def test_rows_of_a_hostile_file_are_refused_although_their_digests_are_right(tmp
 
 
 @pytest.mark.parametrize("damage", ["flip", "truncate"])
-def test_damage_to_any_page_is_told_or_harmless(tmp_path, damage):
+def test_damage_to_any_page_is_detected_or_harmless(tmp_path, damage):
     """One bit of every page, at three places of each, and the file without its end."""
     genomes, _ = written(tmp_path, parts=(60, 30))
     with Journal(tmp_path, read_only=True) as journal:
@@ -367,7 +369,7 @@ def test_damage_to_any_page_is_told_or_harmless(tmp_path, damage):
             assert np.array_equal([row.genome for row in rows], genomes)
 
 
-def test_bits_of_the_head_of_the_file_are_told_or_harmless(tmp_path):
+def test_flipped_bits_in_the_file_header_are_detected_or_harmless(tmp_path):
     """The first page holds the head of the file, with the schema's number, and the tables."""
     genomes, _ = written(tmp_path)
     content = (tmp_path / FILE).read_bytes()

@@ -52,7 +52,7 @@ def run(tmp_path_factory):
 # The record
 
 
-def test_a_run_evaluates_everybody_once_and_elites_never_again(run):
+def test_each_genome_is_evaluated_once_and_elites_never_again(run):
     folder, result = run
     assert CONFIG.evaluations() == 4 + 2 * 2
     assert column(folder, "generation").tolist() == [0] * 4 + [1] * 2 + [2] * 2
@@ -61,7 +61,7 @@ def test_a_run_evaluates_everybody_once_and_elites_never_again(run):
     assert [g.evaluations for g in result.generations] == [4, 6, 8]
 
 
-def test_generations_out_of_the_record_are_those_that_were_told(run):
+def test_recorded_generations_equal_the_reported_ones(run):
     folder, result = run
     best = (folder / "best.json").stat().st_mtime_ns
     found = load(folder).generations
@@ -112,7 +112,7 @@ def test_best_fitness_never_gets_worse(run):
     assert best_m == [fitness[generation <= g].max() for g in range(3)]
 
 
-def test_generations_are_told_as_they_are_recorded(run):
+def test_generations_are_reported_when_they_are_recorded(run):
     folder, result = run
     fitness, generation = column(folder, "fitness"), column(folder, "generation")
     labels = np.array([row["failure"] for row in rows(folder)])
@@ -125,7 +125,7 @@ def test_generations_are_told_as_they_are_recorded(run):
     assert set(result.generations[0].failures) == {f.label for f in Failure if f}
 
 
-def test_configuration_is_kept_whole(run):
+def test_complete_configuration_is_recorded(run):
     folder, _ = run
     history = load(folder)
     assert history.config == CONFIG
@@ -133,7 +133,7 @@ def test_configuration_is_kept_whole(run):
     assert history.own_objective is None
 
 
-def test_a_run_leaves_just_its_record(run):
+def test_run_writes_only_its_record(run):
     folder, _ = run
     assert {p.name for p in folder.iterdir()} == {"journal.sqlite", ".lock", "best.json"}
 
@@ -211,7 +211,7 @@ def test_progress_counts_the_chunks_that_were_evaluated_before(tmp_path, monkeyp
 
 
 @pytest.mark.parametrize("failed_fitness", [0.0, 0.001])
-def test_a_whole_population_of_failures_runs_to_the_end(tmp_path, monkeypatch, failed_fitness):
+def test_run_in_which_all_robots_fail_finishes(tmp_path, monkeypatch, failed_fitness):
     monkeypatch.chdir(tmp_path)  # MuJoCo leaves its log where it runs
     ga = GaConfig(population=4, hall_of_fame=1)
     config = RunConfig(generations=3, failed_fitness=failed_fitness, physics=BROKEN, ga=ga)
@@ -296,7 +296,7 @@ def test_interrupted_and_resumed_equals_uninterrupted(tmp_path, settings):
     assert again.best_robot.to_dict() == whole.best_robot.to_dict()
 
 
-def test_a_finished_run_is_gone_through_again_without_evaluating(run, tmp_path):
+def test_resuming_a_finished_run_evaluates_nothing(run, tmp_path):
     folder, result = run
     before = load(folder).table()
     again = resume(folder, evaluator=None)
@@ -348,7 +348,7 @@ def test_generation_of_which_a_part_is_known_is_completed(tmp_path, monkeypatch,
     assert load(tmp_path / "part").table()["session"].to_list() == [1, 1, 2, 2, 2, 2, 2, 2]
 
 
-def test_genome_that_differs_in_replay_is_an_error_that_says_so(tmp_path, invented):
+def test_genome_that_differs_in_replay_is_an_error(tmp_path, invented):
     evolve(TINY, tmp_path, evaluator=invented)
     with Journal(tmp_path) as journal:
         journal.configure({**replace(TINY, seed=9).to_dict(), "own_optimizer": None})
@@ -357,7 +357,7 @@ def test_genome_that_differs_in_replay_is_an_error_that_says_so(tmp_path, invent
     assert "start a new run" in str(error.value)
 
 
-def test_other_versions_are_told_on_resume(tmp_path, monkeypatch, invented):
+def test_resume_reports_other_versions(tmp_path, monkeypatch, invented):
     evolve(TINY, tmp_path, evaluator=invented)
     warnings = []
     resume(tmp_path, evaluator=invented, on_warning=warnings.append)
@@ -370,7 +370,7 @@ def test_other_versions_are_told_on_resume(tmp_path, monkeypatch, invented):
     assert "(now 9.9.9)" in warnings[0]
 
 
-def test_a_record_of_before_there_were_targets_goes_on_with_elites_that_breed(tmp_path, invented):
+def test_journal_from_before_targets_continues_with_breeding_elites(tmp_path, invented):
     config = replace(CONFIG, ga=replace(CONFIG.ga, elites_breed=True))
     evolve(config, tmp_path / "whole", evaluator=invented)
     evolve(replace(config, generations=1), tmp_path / "part", evaluator=invented)
@@ -400,7 +400,7 @@ class Halves:
         self.at = self.at / 2
 
 
-def test_an_optimizer_from_elsewhere_drives_a_run_and_its_resumption(tmp_path, invented):
+def test_custom_optimizer_runs_and_resumes(tmp_path, invented):
     config = RunConfig(generations=3, physics=SHORT)
     evolve(config, tmp_path / "whole", evaluator=invented, optimizer=Halves(12))
     evolve(replace(config, generations=2), tmp_path / "part", evaluator=invented, optimizer=Halves(12))
@@ -420,7 +420,7 @@ def thrift(outcomes):
     return 1000 - outcomes.energy_j
 
 
-def test_an_objective_of_ones_own_decides_who_is_best(tmp_path, invented):
+def test_custom_objective_selects_the_best_robot(tmp_path, invented):
     result = evolve(CONFIG, tmp_path / "run", evaluator=invented, objective=thrift)
     data = load(tmp_path / "run").table().filter(failure="ok")
     laziest = data.sort("energy_j", "evaluation").to_dicts()[0]
@@ -429,7 +429,7 @@ def test_an_objective_of_ones_own_decides_who_is_best(tmp_path, invented):
     assert result.best_robot.generation == laziest["generation"]
 
 
-def test_an_objective_of_ones_own_is_told_to_the_optimizer(tmp_path, invented):
+def test_optimizer_receives_values_of_a_custom_objective(tmp_path, invented):
     received = []
 
     class Hears(Halves):
@@ -443,7 +443,7 @@ def test_an_objective_of_ones_own_is_told_to_the_optimizer(tmp_path, invented):
     assert received == expected
 
 
-def test_a_run_with_an_objective_of_ones_own_goes_on_with_it_alone(tmp_path, invented):
+def test_run_with_a_custom_objective_needs_it_to_continue(tmp_path, invented):
     evolve(CONFIG, tmp_path / "whole", evaluator=invented, objective=thrift)
     evolve(replace(CONFIG, generations=2), tmp_path / "part", evaluator=invented, objective=thrift)
     with pytest.raises(CaterpillarError, match=r"your own objective \(thrift\); .*objective=\.\.\."):

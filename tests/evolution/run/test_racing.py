@@ -46,14 +46,14 @@ def test_leaders_are_the_best_in_order_of_their_index():
     assert leaders(fitness, 5).tolist() == [0, 1, 2, 3]  # a failed robot never leads
 
 
-def test_robots_that_go_on_end_as_without_a_race(raced, complete):
+def test_leaders_end_as_without_a_race(raced, complete):
     went_on = raced.simulated_s > 10.0
     assert went_on.sum() == 3  # 0.3 of 7, rounded up
     for one, other in zip(raced, complete, strict=True):
         np.testing.assert_array_equal(one[went_on], other[went_on])
 
 
-def test_other_robots_stop_after_two_periods_with_what_they_did(raced):
+def test_other_robots_stop_after_two_periods(raced):
     early = run_job(Job(GENOMES, 10.0), ENCODING, threads=1).outcomes
     behind = stopped(raced)
     assert behind.any()
@@ -61,7 +61,7 @@ def test_other_robots_stop_after_two_periods_with_what_they_did(raced):
     np.testing.assert_equal(raced.rows(behind), early.rows(behind))
 
 
-def test_robots_that_go_on_were_ahead(raced):
+def test_leaders_were_ahead(raced):
     early = run_job(Job(GENOMES, 10.0), ENCODING, threads=1).outcomes
     went_on = raced.simulated_s > 10.0
     assert early.fitness()[went_on].min() > early.fitness()[stopped(raced)].max()
@@ -91,7 +91,7 @@ class WithFailures(LocalEvaluator):
             yield result
 
 
-def test_failed_robot_does_not_go_on_even_if_the_others_are_behind():
+def test_failed_robots_never_continue():
     outcomes = race(GENOMES, CONFIG, lambda o: -1.0 - o.energy_j, WithFailures(1))
     assert (outcomes.simulated_s[:4] <= 10.0).all()
     assert (outcomes.simulated_s[4:6] == 30.0).all()  # the last robot fails after 8.5 s

@@ -84,7 +84,7 @@ def test_a_run_ends_with_the_first_generation_that_reaches_its_target(whole, tmp
     assert f"was reached in generation {found.number}, " in ended
 
 
-def test_a_target_just_out_of_reach_changes_nothing_but_what_is_said(whole, tmp_path, invented):
+def test_unreached_target_changes_only_the_message(whole, tmp_path, invented):
     found = whole("ga")
     farthest_m = found.generations[-1].farthest_m
     config = replace(found.config, target_m=float(np.nextafter(farthest_m, 1.0)))
@@ -162,7 +162,7 @@ def test_a_run_at_its_target_evaluates_nothing_more(reached, tmp_path, generatio
     assert load(folder).finished
 
 
-def test_resuming_at_the_target_says_in_one_line_that_nothing_is_left(reached, tmp_path, capsys):
+def test_resuming_at_the_target_reports_that_nothing_is_left(reached, tmp_path, capsys):
     shutil.copytree(reached, tmp_path / "run")
     assert cli.main(["resume", str(tmp_path / "run"), "--no-video"]) == 0
     lines = capsys.readouterr().err.splitlines()
@@ -189,7 +189,7 @@ def test_evolve_and_the_page_say_why_a_run_ended(tmp_path, capsys):
     assert "<tr><td>target_m<td>1e-06<td>null</tr>" in page
 
 
-def test_a_run_that_missed_its_target_says_so_and_can_go_on(tmp_path, whole, invented):
+def test_run_that_missed_its_target_reports_it_and_can_continue(tmp_path, whole, invented):
     config = replace(whole("ga").config, generations=1, target_m=9.0)
     evolve(config, tmp_path / "run", evaluator=invented)
     page = run_page.page(load(tmp_path / "run"), {})
@@ -238,7 +238,7 @@ def test_a_failure_reaches_no_target_and_the_objective_does_not_matter(tmp_path)
         assert result.generations[-1].farthest_m == 0.2
 
 
-def test_whichever_of_budget_and_target_comes_first_ends_a_run():
+def test_first_of_budget_and_target_ends_a_run():
     both = RunConfig(budget_s=100.0, target_m=0.25)
     assert both.stop_reason(0, 0.0, 0.0) is None
     assert both.stop_reason(3, 99.0, 0.24) is None
