@@ -50,6 +50,14 @@ def test_weak_springs_fail_in_mid_episode():
     np.testing.assert_array_equal(temperatures(env)[0, ~weak], temperatures(healthy)[0, ~weak])
 
 
+def test_times_of_failures_are_uniform_in_their_range():
+    faults, rng = Faults(springs=1, time_s=(2.0, 4.0)), np.random.default_rng(0)
+    steps = np.array([faults.draw(12, rng)[1] for _ in range(400)])  # of 10 ms
+    assert 200 <= steps.min() < 205
+    assert 395 < steps.max() <= 400
+    assert steps.mean() == pytest.approx(300, abs=10)
+
+
 def test_springs_fail_within_a_gait_period():
     """In timing mode a step is a gait period, and the failure need not be at its start."""
     env = gymnasium.make("CaterpillarSMA-v0", faults={"springs": 12, "time_s": (2.0, 2.0)})

@@ -83,6 +83,21 @@ def test_differences_of_circular_genes_are_the_shorter_ones():
     assert np.abs((trials + 0.5) % 1 - 0.5).max() < 0.2
 
 
+def test_genomes_of_a_difference_are_not_the_same_and_not_the_genome_itself(monkeypatch):
+    optimizer, pairs = started(), []
+    run(optimizer, 3, sphere)
+    genomes = optimizer._genomes
+    subtract = optimizer._subtract
+    monkeypatch.setattr(optimizer, "_subtract", lambda a, b: pairs.append((a, b)) or subtract(a, b))
+    for _ in range(50):
+        optimizer._draw_differences()
+    assert len(pairs) == 100
+    for one, two in pairs[1::2]:
+        assert (one != two).any(axis=1).all()
+        assert (one != genomes).any(axis=1).all()
+        assert (two != genomes).any(axis=1).all()
+
+
 def test_trial_that_is_as_good_replaces_the_genome():
     first, trials, again = run(started(), 3, lambda x: np.zeros(len(x)))
     best = first[:SIZE]

@@ -20,10 +20,20 @@ from evolution import cli
 from evolution.run.database import is_in_use
 from evolution.run.history import History
 from evolution.run.journal import Journal, read_simulated_s
+from evolution.run.loop import resume
 from evolution.study import winners
 from evolution.study.cells import Processes, RayTasks, run_study
 from evolution.study.config import Cell, StudyConfig, begin, load
-from evolution.study.results import DATA, Run, collect, read_kept, read_run, read_runs
+from evolution.study.results import (
+    DATA,
+    DIGEST,
+    Run,
+    collect,
+    read_all,
+    read_kept,
+    read_run,
+    read_runs,
+)
 
 TOML = Path(__file__).with_name("small.toml").read_text("utf-8")
 SMALL = tomllib.loads(TOML)
@@ -399,6 +409,40 @@ def test_unfinished_and_longer_runs_continue_from_the_table_alone(finished, tmp_
     assert rows[: len(first)].equals(first)
     others = ~((polars.col("arm") == longer.arm) & (polars.col("seed") == longer.seed))
     assert results.table.filter(others).equals(whole.filter(others))
+
+
+def test_longer_record_of_a_run_counts(finished, tmp_path):
+    config, table = load(finished), polars.read_parquet(finished / DATA)
+    begin(config, tmp_path)
+    cell = config.cells()[0]
+    rows = table.filter(arm=cell.arm, seed=cell.seed)
+    arm, folder = config.arms[cell.arm], cell.folder(tmp_path)
+    arm.restore(rows.filter(polars.col("generation") < 2), folder, cell.seed, config.budget_s)
+    assert len(collect(config, tmp_path).missing) == len(config.cells())
+    rows.write_parquet(tmp_path / DATA)  # from another machine, which went farther
+    (tmp_path / DIGEST).unlink()
+    assert cell not in collect(config, tmp_path).missing
+    rows.filter(polars.col("generation") < 1).write_parquet(tmp_path / DATA)  # and one that did not
+    (tmp_path / DIGEST).unlink()
+    assert read_all(config, tmp_path)[cell]["generation"].max() == 1
+
+
+def test_interrupted_run_continues_in_its_own_journal(finished, tmp_path):
+    config = StudyConfig.from_dict(changed(arms={"ga-uniform": {"prior": "uniform"}}, seeds=[0]))
+    begin(config, tmp_path)
+    (cell,) = config.cells()
+    rows = polars.read_parquet(finished / DATA).filter(arm=cell.arm, seed=cell.seed, generation=0)
+    config.arms[cell.arm].restore(rows, cell.folder(tmp_path), cell.seed, config.budget_s)
+    collect(config, tmp_path)
+
+    def stop(generation):
+        raise KeyboardInterrupt
+
+    assert not resume(cell.folder(tmp_path), on_generation=stop).finished
+    assert run_study(config, tmp_path, Processes(1)) == []
+    history = read_run(config, cell, tmp_path)
+    assert history.finished
+    assert len(history.sessions) == 3  # a journal that is made again from the table has fewer
 
 
 def test_run_whose_genomes_have_changed_is_not_continued(finished, tmp_path):
