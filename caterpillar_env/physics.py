@@ -78,7 +78,7 @@ class Physics:
     cone: Cone = "elliptic"  #: MuJoCo friction cone
     impratio: float = 100.0  #: MuJoCo impedance ratio; large values reduce slip
     contact_time_constant_s: float = 0.01  #: of contacts with the ground, s; larger is softer
-    stop_time_constant_s: float = 0.005  #: of the joint stops, s; at least two timesteps
+    stop_time_constant_s: float = 0.005  #: of the joint stops, s; two timesteps by default
     solver_tolerance: float = 1e-8  #: MuJoCo solver tolerance
     solver_iterations: int = 100  #: maximum number of MuJoCo solver iterations
     world: World = field(default_factory=Flat)  #: ground, such as rough or slope:angle_deg=5

@@ -210,8 +210,7 @@ class Encoding:
     def robot(self, genome: Array, **record: Any) -> Robot:
         """Return the robot of a genome (n,). The keywords are its recorded results, see `Robot`."""
         (body,), timings = self.decode(np.asarray(genome)[None])
-        gait = GaitTimings(timings.period_s, timings.on_s[0], timings.off_s[0])
-        return Robot(body, gait, self.physics, **record)
+        return Robot(body, timings[0], self.physics, **record)
 
 
 def _make_delay(name: str, parameter: str) -> Gene:

@@ -36,7 +36,8 @@ power = np.resize(period, (steps, model.nu))
 # The springs: their austenite fraction after each thermal step. It does not depend on the motion.
 spring = robot.physics.spring
 cold = SmaState.cold(spring, (model.nu,))
-fraction = np.vstack([cold.fraction, advance(spring, cold, power, THERMAL_STEP_S).fraction])
+path = advance(spring, cold, power, THERMAL_STEP_S).path
+fraction = np.vstack([cold.fraction, path.fraction])
 
 # The mechanics. The control is the mean fraction during a physics step, interpolated linearly.
 substeps = round(THERMAL_STEP_S / model.opt.timestep)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from rich.console import Console
 
@@ -15,9 +15,6 @@ from evolution.config import RunConfig
 from evolution.run.cluster import RayEvaluator
 from evolution.run.evaluators import Evaluator, LocalEvaluator
 from evolution.run.history import Generation, History
-
-if TYPE_CHECKING:
-    pass
 
 
 def check_address(address: str | None, evaluator: str) -> None:

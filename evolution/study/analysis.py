@@ -71,7 +71,10 @@ def analyse(config: StudyConfig, results: Results) -> Analysis:
         missing=results.missing,
         runs=runs,
         times={threshold: find_times(config, runs, threshold) for threshold in thresholds},
-        distances={t: _distances(config, runs, t) for t in (*config.compare_at_s, config.budget_s)},
+        distances={
+            time_s: _distances(config, runs, time_s)
+            for time_s in (*sorted(config.compare_at_s), config.budget_s)
+        },
         gains={count: rows for count, rows in gains.items() if rows},
         speed_ups=find_speed_ups(config, runs),
         ecdf={
@@ -97,7 +100,7 @@ def _distances(config: StudyConfig, runs: Runs, time_s: float) -> list[Distances
                 runs=len(values),
                 median_m=statistics.median(values),
                 best_m=float(values.max()),
-                failed=float(np.mean(failures != "ok")) if len(failures) else 0.0,
+                failed=float(np.mean(failures != "ok")) if len(failures) else float("nan"),
                 a12=a12.get(arm),
                 mann_whitney_p=p.get(arm),
             )
@@ -138,7 +141,8 @@ def summarize(analysis: Analysis) -> list[str]:
     for time_s, distances in analysis.distances.items():
         medians = {row.arm: row.median_m.value for row in distances}
         lines += [
-            f"{row.arm}: median distance {_mm(row.median_m.value)} after {time_s:,.0f} s, against "
+            f"{row.arm}: median of the best distances after {time_s:,.0f} simulated seconds "
+            f"{_mm(row.median_m.value)}, against "
             f"{_mm(medians[config.reference_of(row.arm)])} for {config.reference_of(row.arm)}; A12 "
             f"{format_estimate(row.a12)}, Mann-Whitney p {format_p(row.mann_whitney_p)}."
             for row in distances

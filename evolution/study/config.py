@@ -91,10 +91,11 @@ class StudyConfig:
             )
         if self.long_seeds and not isinstance(self.arms[self.reference], EvolutionArm):
             raise CaterpillarError("long_seeds needs a reference that evolves robots; remove it")
-        if not all(0 < time_s < self.budget_s for time_s in self.compare_at_s):
+        times_s = self.compare_at_s
+        if len(set(times_s)) < len(times_s) or not all(0 < time_s < self.budget_s for time_s in times_s):
             raise CaterpillarError(
-                f"compare_at_s must be a list of numbers between 0 and budget_s = {self.budget_s:g}; "
-                f"got {self.compare_at_s!r}"
+                f"compare_at_s must be a list of distinct numbers between 0 and budget_s = "
+                f"{self.budget_s:g}; got {times_s!r}"
             )
         if min(self.thresholds_m, default=1.0) <= 0:
             raise CaterpillarError(

@@ -9,7 +9,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from baselines.config import HYPERPARAMETERS
 from baselines.interface import Interface, best_wave
 from baselines.vec_env import CaterpillarVecEnv
-from caterpillar_env import GaitTimings, Morphology, Physics, simulate
+from caterpillar_env import Morphology, Physics, simulate
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import MAX_DUTY
 
@@ -25,8 +25,7 @@ def wrap(mode="phase", robots=2, physics=None, action_repeat=1, **settings):
 
 def crawl_m(wave):
     """Distance of the nominal body with a gait."""
-    gaits = GaitTimings(wave.period_s, wave.on_s[None], wave.off_s[None])
-    return simulate([Morphology()], gaits, Physics()).distance_m[0]
+    return simulate([Morphology()], wave[None], Physics()).distance_m[0]
 
 
 def test_best_wave_is_at_the_peak_of_the_prior():

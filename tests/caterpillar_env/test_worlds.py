@@ -203,15 +203,11 @@ def test_rows_and_threads_do_not_matter(text):
     bodies, timings = stack(evolved_robots(3))
     physics = Physics(world=text)
     together = simulate(bodies, timings, physics, threads=2, duration_s=2.0)
-    alone = simulate(bodies[1:2], replace_rows(timings, 1), physics, threads=1, duration_s=2.0)
+    alone = simulate(bodies[1:2], timings[1:2], physics, threads=1, duration_s=2.0)
     for one, all_ in zip(alone, together, strict=True):
         assert one[0] == all_[1]
     flat = simulate(bodies, timings, Physics(), threads=1, duration_s=2.0)
     assert (flat.distance_m != together.distance_m).all()
-
-
-def replace_rows(timings, row):
-    return replace(timings, on_s=timings.on_s[row : row + 1], off_s=timings.off_s[row : row + 1])
 
 
 def test_robots_keep_their_world_in_json():

@@ -445,7 +445,7 @@ def test_global_generator_is_not_touched():
     ids=str,
 )  # fmt: skip
 @pytest.mark.parametrize("seed", range(3))
-def test_sphere_is_optimised_beyond_the_reach_of_random_search(settings, seed):
+def test_sphere_is_optimized_beyond_the_reach_of_random_search(settings, seed):
     target = np.linspace(0.2, 0.8, 5)
 
     def distance(genomes):

@@ -50,7 +50,7 @@ def test_genome_is_replaced_only_by_a_trial_that_is_at_least_as_good():
     assert (again == best).any()
 
 
-def test_best_value_never_gets_worse():
+def test_sphere_is_optimized():
     values = [sphere(genomes).max() for genomes in run(started(), 60, sphere)]
     assert values[-1] > -1e-3
 

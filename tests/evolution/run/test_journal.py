@@ -47,8 +47,7 @@ def written(folder, parts=(3, 2)):
         first = 0
         for generation, size in enumerate(parts):
             rows = slice(first, first + size)
-            part = Outcomes(*(column[rows] for column in results))
-            journal.append(rows_of(genomes[rows], part, generation, first))
+            journal.append(rows_of(genomes[rows], results.rows(rows), generation, first))
             first += size
             journal.complete(Completion(generation, first, None, None))
     return genomes, results

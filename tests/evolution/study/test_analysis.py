@@ -222,7 +222,7 @@ def test_speed_up_is_known_for_all_distances_that_the_reference_reached(analysis
 
 
 def test_distances_are_compared_at_earlier_times_too(few_draws):
-    config = with_own_thresholds(compare_at_s=[25])
+    config = with_own_thresholds(compare_at_s=[50, 25])
     table = polars.concat(
         [
             runs("ga-uniform", [ramp(0.0, 0.01)] * 4, failures={(0, 0), (0, 9)}),
@@ -230,14 +230,14 @@ def test_distances_are_compared_at_earlier_times_too(few_draws):
         ]
     )
     found = analyse(config, Results(table, []))
-    assert list(found.distances) == [25, 100]
-    early, late = ({row.arm: row for row in rows} for rows in found.distances.values())
+    assert list(found.distances) == [25, 50, 100]
+    early, _, late = ({row.arm: row for row in rows} for rows in found.distances.values())
     assert early["ga-uniform"].median_m.value == pytest.approx(0.01)  # two evaluations of 10 s
     assert early["ga-uniform"].failed == pytest.approx(1 / 8)
     assert late["ga-uniform"].failed == pytest.approx(2 / 40)
     assert early["ga-preprocessed"].a12.value == 1.0
     assert late["ga-preprocessed"].a12.value == 0.0
-    assert any("after 25 s, against" in line for line in summarize(found))
+    assert any("after 25 simulated seconds 31 mm, against 10 mm" in line for line in summarize(found))
 
 
 def test_longer_runs_are_censored_at_their_own_budget(few_draws):

@@ -29,7 +29,7 @@ def run(session, intervals=300):
     return session
 
 
-def test_nominal_robot_crawls_as_in_the_fitness_evaluation():
+def test_wave_robot_crawls_as_in_the_fitness_evaluation():
     robot = wave_robot()
     session = run(Session(robot))
     assert session.finished
