@@ -38,6 +38,7 @@ _LAZY = {
     "SmaSpring": "sma",
     "World": "worlds",
     "simulate": "robot",
+    "wave_robot": "robot",
 }
 __all__ = ["CaterpillarError", *_LAZY]
 

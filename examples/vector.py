@@ -3,10 +3,9 @@
 import gymnasium
 import numpy as np
 
-from caterpillar_env import Failure, Morphology
+from caterpillar_env import Failure, Morphology, wave_robot
 
 NUM_ROBOTS = 8
-PAIRS_ON = np.array([0, 3, 4, 1, 2, 5]) / 6  # shares of the period: a wave from the tail
 
 rng = np.random.default_rng(0)
 bodies = [Morphology.from_unit(rng.random(8)) for _ in range(NUM_ROBOTS)]
@@ -17,7 +16,7 @@ env = gymnasium.make_vec(
     terminate_on_failure=False,  # so that all episodes end together
 )
 env.reset(seed=0)
-gait = 2 * np.stack([PAIRS_ON, (PAIRS_ON + 0.2) % 1], axis=1).ravel() - 1
+gait = wave_robot().timings.to_action()  # a wave from the tail that was designed by hand
 truncated = np.zeros(NUM_ROBOTS, dtype=bool)
 while not truncated.all():
     _, _, _, truncated, infos = env.step(np.tile(gait, (NUM_ROBOTS, 1)))
