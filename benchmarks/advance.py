@@ -36,8 +36,8 @@ def main() -> None:
         best = np.argsort(predicted_m)[-WAVES // 10 :]
         medians_mm = [1000 * np.median(d) for d in (crawled.fitness(), crawled.fitness()[best])]
         print(
-            f"{bodies}: Spearman's correlation {correlation:.2f} over {WAVES} waves; median distance "
-            f"{medians_mm[0]:.0f} mm, of the 10 % with the largest K_5 {medians_mm[1]:.0f} mm"
+            f"{bodies}: Spearman's correlation {correlation:.2f} over {WAVES} waves; median distance: "
+            f"{medians_mm[0]:.0f} mm for all, {medians_mm[1]:.0f} mm for the 10 % with the largest K_5"
         )
 
 

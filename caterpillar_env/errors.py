@@ -107,8 +107,8 @@ def check_number(
 def check_fields(instance: Any, bounds: Mapping[str, tuple[float, float]] | None = None) -> None:
     """Check the types of a dataclass's fields. NumPy's scalars become Python's, and lists become tuples.
 
-    This checks fields with numbers, choices (`Literal`), strings, truth values, mappings, dataclasses,
-    tuples of these with any length, and None where it is allowed. Other fields are not checked.
+    This checks numbers, `Literal` choices, strings, booleans, mappings, dataclasses, tuples of these (of
+    any length), and None where it is allowed. Other fields are not checked.
 
     Args:
         instance: the dataclass; this is called from its `__post_init__`.

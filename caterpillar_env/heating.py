@@ -23,7 +23,7 @@ class Heating(NamedTuple):
 def heat(
     spring: SmaSpring, before: SmaState, power: Array, ambient_c: Array, rows: Rows, substeps: int
 ) -> Heating:
-    """Compute the springs of robots for the next K thermal steps.
+    """Compute the thermal states of the springs of robots for the next K thermal steps.
 
     Args:
         spring: properties of the springs.

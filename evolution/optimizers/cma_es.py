@@ -38,8 +38,8 @@ class CmaEs(GenerationalOptimizer):
 
     The search starts at the peak of each gene's distribution, with its width as the step size. Genes
     with a uniform distribution start at 0.5. Restarts begin at a random draw from the distributions.
-    pycma transforms the genes so that every genome lies within the bounds. Circular genes have no
-    bounds: they pass from 1 to 0.
+    pycma transforms the genes so that every genome lies within the bounds. Circular genes are not
+    bounded; they wrap around from 1 to 0.
 
     Args:
         distributions: distribution of each gene.

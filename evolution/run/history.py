@@ -272,7 +272,7 @@ class History:
         self.sessions = self._journal.sessions
 
     def _next_rows(self) -> list[Evaluation]:
-        """Return the known evaluations of the next generation."""
+        """Return the evaluations of the next generation that are already in the journal."""
         first = self.generations[-1].evaluations if self.generations else 0
         number = len(self.generations)
         return list(takewhile(lambda e: e.generation == number, self.evaluations[first:]))

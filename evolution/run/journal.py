@@ -191,7 +191,7 @@ class Journal:
         """Begin a session.
 
         Args:
-            packages: names of packages whose versions to record besides those of `fingerprint`.
+            packages: names of further packages whose versions are recorded, see `fingerprint`.
         """
         row = (len(self._read_sessions()) + 1, _now(), json.dumps(fingerprint(packages)), None)
         self._insert("sessions", [row])

@@ -87,8 +87,8 @@ class Retest(NamedTuple):
     """Results of the best robots of a study."""
 
     winners: list[Winner]  #: the best robot of each arm
-    comparisons: list[Comparison]  #: of the robots that were simulated under all `CONDITIONS`
-    crawling: list[Crawling]  #: of the same robots, without policies
+    comparisons: list[Comparison]  #: of robots that were simulated under all `CONDITIONS`
+    crawling: list[Crawling]  #: how these robots crawl; policies are left out
 
 
 def retest_winners(analysis: Analysis, folder: Path, *, every_run: bool = False) -> Retest:

@@ -20,7 +20,7 @@ def start(kind, env_id, callback, trained=False):
     return model, env.reset()
 
 
-def test_flips_have_their_probability():
+def test_untrained_policy_flips_with_the_given_probability():
     model, observed = start(PPO, "CaterpillarSMASwitch-v0", RareFlips(0.2))
     flips, _ = model.predict(np.repeat(observed, 4000, axis=0), deterministic=False)
     assert flips.mean() == pytest.approx(0.2, abs=0.02)

@@ -100,4 +100,4 @@ def test_a_run_ends_with_its_budget_and_has_a_row(monkeypatch, tmp_path, name):
     summary = optimizers.summarize(polars.DataFrame([row, better]), polars.DataFrame([row, row]))
     assert summary["runs"] == 2
     assert summary["A12 against shade"].startswith("0.75 (")
-    assert summary["ERT to 200 mm, s"] == "9,070 (1 reached)"
+    assert summary["ERT to 200 mm, s"] == "9,070 (70 to inf); 1 reached"

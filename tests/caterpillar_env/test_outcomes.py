@@ -74,7 +74,8 @@ def test_robot_without_power_uses_no_energy_and_hardly_moves():
 
 
 def test_gait_is_repeated_every_period():
-    # Powered for the first 0.2 s of every 2 s, too little to meet the cut-off: 3 s hold two pulses.
+    # The springs are powered for the first 0.2 s of every 2 s, too short to reach the cut-off
+    # temperature. Two pulses fall within 3 s.
     pulse = GaitTimings(2.0, np.zeros((1, 2)), np.full((1, 2), 0.2))
     energies = [
         simulate([Morphology()], pulse, SHORT, threads=1, duration_s=t).energy_j[0]

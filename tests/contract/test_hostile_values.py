@@ -184,7 +184,7 @@ def test_robots(place):
         attempt(Robot.from_dict, data if place else value)
 
 
-def test_genomes_and_gaits():
+def test_errors_of_genomes_and_gaits_have_one_line():
     encoding = Encoding(Physics(num_segments=2))
     for value in HOSTILE.values():
         attempt(encoding.check, value)

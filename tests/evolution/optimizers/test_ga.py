@@ -126,7 +126,7 @@ class Always:
 
 
 @pytest.mark.parametrize(("draw", "expected"), [(0.0, 2), (np.nextafter(1.0, 0.0), 11)])
-def test_ends_of_the_wheel_are_never_worthless_places(draw, expected):
+def test_roulette_never_selects_zero_fitness_at_extreme_draws(draw, expected):
     fitness = np.array([0.0] * 2 + [0.1] * 10 + [0.0] * 2)
     assert roulette(fitness, 3, Always(draw)).tolist() == [expected] * 3
 

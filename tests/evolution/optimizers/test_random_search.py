@@ -9,7 +9,7 @@ GENES = [Uniform(), ClippedGaussian.with_floor(1.0)]
 
 
 def draw(sampling, sizes, seed=0, genes=GENES):
-    """What is asked for in so many questions of these sizes, one after the other."""
+    """Return the genomes of one call of `ask` for each population size in `sizes`."""
     parts = []
     for population in {*sizes}:
         search = RandomSearch(genes, population, sampling, np.random.default_rng(seed))
@@ -33,7 +33,7 @@ def test_genes_follow_their_distributions(sampling):
 
 
 @pytest.mark.parametrize("sampling", ["independent", "sobol"])
-def test_size_of_a_question_does_not_matter(sampling):
+def test_genomes_do_not_depend_on_the_population_size(sampling):
     np.testing.assert_array_equal(draw(sampling, [12]), draw(sampling, [4, 4, 4]))
     assert not np.array_equal(draw(sampling, [12]), draw(sampling, [12], seed=1))
 

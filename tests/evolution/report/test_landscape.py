@@ -57,6 +57,6 @@ def test_report_writes_the_figure(history, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("names", [("lag", "lag"), ("lag", "nose"), ("lag",)])
-def test_names_that_are_not_two_genes_are_refused(history, names):
+def test_landscape_requires_two_different_genes(history, names):
     with pytest.raises(CaterpillarError, match="a landscape needs two different genes of leg_sep"):
         sweep(history, names)

@@ -105,7 +105,7 @@ def test_arms_of_the_ablation_differ_in_one_part_from_their_reference():
         run, base = (config.arms[arm].config for arm in (name, config.reference_of(name)))
         changes = [part for part in (*parts, "shade") if getattr(run, part) != getattr(base, part)]
         if base.prior == "uniform" and changes[:1] == ["prior"]:
-            changes = changes[:1]  # its use or control is part of the prior
+            changes = changes[:1]  # prior_use and prior_control are parts of the prior
         assert len(changes) == (name != config.reference), (name, changes)
 
 

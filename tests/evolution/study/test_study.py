@@ -419,10 +419,10 @@ def test_longer_record_of_a_run_counts(finished, tmp_path):
     arm, folder = config.arms[cell.arm], cell.folder(tmp_path)
     arm.restore(rows.filter(polars.col("generation") < 2), folder, cell.seed, config.budget_s)
     assert len(collect(config, tmp_path).missing) == len(config.cells())
-    rows.write_parquet(tmp_path / DATA)  # from another machine, which went farther
+    rows.write_parquet(tmp_path / DATA)  # of another machine, with more generations
     (tmp_path / DIGEST).unlink()
     assert cell not in collect(config, tmp_path).missing
-    rows.filter(polars.col("generation") < 1).write_parquet(tmp_path / DATA)  # and one that did not
+    rows.filter(polars.col("generation") < 1).write_parquet(tmp_path / DATA)  # with fewer generations
     (tmp_path / DIGEST).unlink()
     assert read_all(config, tmp_path)[cell]["generation"].max() == 1
 
