@@ -1,4 +1,4 @@
-"""Training callbacks for rl_zoo3 hyperparameter files, and what callbacks share."""
+"""Training callbacks for rl_zoo3 hyperparameter files, and a function that callbacks share."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Checkpoints of training runs: the weights, the optimizers, the replay buffer and the co-design.
 
-The robots and the random numbers are not stored. After every evaluation, both start afresh, from seeds
-that depend on its number. A checkpoint holds tensors and numbers only: loading it runs no code.
+The robots and the random generators are not stored. After every evaluation, they are reset with seeds
+that depend on the number of the evaluation. A checkpoint holds tensors and numbers only: loading it runs
+no code.
 """
 
 from __future__ import annotations

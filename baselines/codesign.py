@@ -51,7 +51,7 @@ class CoDesign(BaseCallback):
         self._fitness: list[Array] = []  # the fitness of all bodies so far, by generation
 
     def state(self) -> dict[str, Any]:
-        """Return what `restore` needs, between two rollouts."""
+        """Return the state for `restore`. Call it between two rollouts."""
         learned = [torch.from_numpy(fitness) for fitness in self._fitness]
         return {
             "fitness": learned,

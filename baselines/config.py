@@ -182,7 +182,7 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
         _override(model, interface, entry)
     n_envs = model.pop("n_envs", 1)
     if config.prior == "uniform":
-        callback = []  # they let a policy begin with the gait of the prior
+        callback = []  # the callbacks make a policy begin with the gait of the prior
     if config.design != "fixed":
         n_envs = POPULATION * ROBOTS_PER_BODY
     if config.open_loop:
@@ -263,7 +263,7 @@ def read_settings(configuration: Mapping[str, Any]) -> TrainConfig:
 
 
 def is_evaluated_as_recorded(configuration: Mapping[str, Any], config: TrainConfig) -> bool:
-    """Return whether a journal has the present hyperparameters, except those of the learning itself.
+    """Return whether a journal has the present hyperparameters, except those that affect only learning.
 
     Args:
         configuration: configuration from the journal.

@@ -1,4 +1,4 @@
-"""The part between a learner and its robots: what a policy observes, and what its actions mean."""
+"""Interface between a learner and its robots: selects observations and interprets actions."""
 
 from __future__ import annotations
 
@@ -28,15 +28,16 @@ class Interface(VecEnvWrapper):
     """Wraps robots so that actions are changes of the gait at the peak of evolution's prior.
 
     With the prior `gait`, an action of zeros makes the wave at the peak of K_4 and K_5, see `best_wave`.
-    In timing and phase mode, -1 and 1 move a time, a delay or a duty from there by `reach`. In switch
-    mode, 1 flips a switch of this wave. With the prior `uniform`, actions are those of the environment.
+    In timing and phase mode, -1 and 1 move a time, a delay or a duty of this wave by `reach`. In
+    switch mode, 1 flips a switch of the wave. With the prior `uniform`, actions are those of the
+    environment.
 
     Args:
         venv: robots, for example a `CaterpillarVecEnv`, with the nominal gait period.
         mode: action mode of the robots.
         prior: prior of the gait.
         reach: largest change, as a share of the period (of the largest duty for duties).
-        action_repeat: that of the robots, in switch mode.
+        action_repeat: `action_repeat` of the robots, in switch mode.
         observe: entries of the observation to keep, by the part of their names before the colon; all by
             default.
         physics: physics of the robots.
@@ -83,11 +84,11 @@ class Interface(VecEnvWrapper):
         super().__init__(venv, spaces.Box(low, high, dtype=np.float32))
 
     def observe(self, observations: NDArray[Any]) -> NDArray[Any]:
-        """Return what a policy sees of observations (R, n) or (n,) of the robots."""
+        """Return the entries that a policy observes, given observations (R, n) or (n,) of the robots."""
         return observations[..., self._kept]
 
     def act(self, actions: NDArray[Any], observations: NDArray[Any]) -> NDArray[Any]:
-        """Return the actions of robots for those of a policy, (R, m), and its observations (R, n)."""
+        """Return the actions of the robots for a policy's actions (R, m) and the observations (R, n)."""
         if self._wave is None:
             return actions
         if self._mode == "switch":
@@ -118,7 +119,7 @@ class Interface(VecEnvWrapper):
 class Wave(NamedTuple):
     """A wave, and the action that makes it."""
 
-    gait: GaitTimings  #: of the springs
+    gait: GaitTimings  #: times of every spring
     action: Array  #: in timing or phase mode; zeros in switch mode, in which a gait has many actions
     circular: NDArray[np.bool_]  #: entries of the action for which -1 and 1 mean the same
 

@@ -39,9 +39,9 @@ from caterpillar_env.task import OnInterval
 
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "td3": TD3}
 Which = Literal["best", "last"]
-FORMAT = "caterpillar-policy-1"  #: of a robot with a policy, in JSON
+FORMAT = "caterpillar-policy-1"  #: format of a robot with a policy, in JSON
 _LARGEST_WEIGHT = 1e9  # so that actions are finite
-_LARGEST_HEADER = 10_000  # of an array in a file, bytes; NumPy refuses larger ones too
+_LARGEST_HEADER = 10_000  # header of an array in a file, bytes; NumPy also refuses larger headers
 
 
 def make_env(config: TrainConfig, **kwargs: Any) -> CaterpillarEnv:
@@ -105,7 +105,7 @@ class Policy:
         """
         acts = ("policy_kwargs.", "interface.")
         kept = tuple(entry for entry in config.override if entry.startswith(acts))
-        acting = replace(config, override=kept)  # what only matters for learning may need much memory
+        acting = replace(config, override=kept)  # values that affect only learning may need much memory
         policy = cls.of(make_model(acting, make_training_env(acting, threads=1)))
         expected = policy._arrays()
         try:
@@ -222,7 +222,9 @@ class TrainedRobot:
         if path.is_file() or path.suffix == ".json":
             advice = "give the folder of a training run, or the JSON file of a robot with a policy"
             if which != "best":
-                raise CaterpillarError(f"{path} has one policy; for the last one, give a training run")
+                raise CaterpillarError(
+                    f"{path} has only one policy; for the last policy, give the folder of a training run"
+                )
             return read(path, lambda data: cls._from_dict(data, path.with_suffix(".npz")), advice)
         folder, training = path, Training.read(path)
         history = training.history
@@ -256,7 +258,9 @@ class TrainedRobot:
         _check_settings("it", configuration, config)
         policy = Policy.load(weights, config)
         if policy.digest != digest:
-            raise CaterpillarError(f"{weights} has other weights; restore the file that belongs to it")
+            raise CaterpillarError(
+                f"{weights} has other weights; restore the file that belongs to this robot"
+            )
         return cls(policy, config, body, physics, fitness_m)
 
     def simulate(

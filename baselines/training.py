@@ -75,7 +75,7 @@ def resume(
     on_progress: OnProgress | None = None,
     threads: int = 0,
 ) -> Training:
-    """Continue a training run from its last evaluation, with the result of one that was not stopped.
+    """Continue a training run from its last evaluation, as if it had not been stopped.
 
     Args:
         folder: folder of the training run. A finished one is returned as it is.
@@ -118,7 +118,7 @@ def _run(recorder: _Recorder, model: BaseAlgorithm) -> None:
             callbacks.append(recorder.designs)
         over = bool(history.generations) and recorder.restore(model)
         try:
-            while not over:  # robots that fail use fewer seconds than their steps would
+            while not over:  # a robot that fails simulates less than a full step
                 steps = max(int((config.budget_s - recorder.spent_s) / robots.vector_env.step_s), 1)
                 model.learn(steps, callback=callbacks, reset_num_timesteps=not model.num_timesteps)
         except _BudgetSpent:
@@ -176,7 +176,7 @@ class _Recorder(BaseCallback):
 
     @property
     def spent_s(self) -> float:
-        """Simulated seconds of training and evaluation so far, also in earlier sessions."""
+        """Simulated seconds of training and evaluation so far, including earlier sessions."""
         return self.history.simulated_s + self._since_s()
 
     def _since_s(self) -> float:
@@ -200,11 +200,11 @@ class _Recorder(BaseCallback):
         elif not self._restored:
             return
         self._restored = False
-        # The rest of the run depends on the checkpoint and on the number of the evaluation only.
+        # The rest of the run depends only on the checkpoint and the number of the evaluation.
         seeds = np.random.SeedSequence([self.config.seed, len(self.history.generations)])
         seed, *row_seeds = seeds.generate_state(1 + self.robots.num_envs).tolist()
         self.model.set_random_seed(seed)
-        self.robots.seed_rows(row_seeds)  # by default row i gets seed + i, and seeds share rows
+        self.robots.seed_rows(row_seeds)  # the default, seed + i for row i, repeats rows of other seeds
         restart(self.model)
 
     def _on_step(self) -> bool:
@@ -230,7 +230,7 @@ class _Recorder(BaseCallback):
         self._counted_s += since_s
         more = {} if self.designs is None else self.designs.state()
         checkpoint.save(history.folder, number, self.model, more | {"last": last})
-        if not history.replay(genome[None]):  # it is known if the process was killed after recording it
+        if not history.replay(genome[None]):  # recorded already if the process was killed here before
             history.append(genome[None], outcome._replace(simulated_s=np.array([since_s])))
         history.complete()
         self._save(policy)
@@ -239,7 +239,7 @@ class _Recorder(BaseCallback):
             self._on_evaluation(history)
 
     def _save(self, policy: Policy) -> None:
-        """Write the policy of the last evaluation, also as the best one if it is."""
+        """Write the policy of the last evaluation to `last.npz`, and to `best.npz` if it is the best."""
         history = self.history
         policy.save(history.folder / "last.npz")
         if history.best is history.evaluations[-1]:

@@ -1,1 +1,1 @@
-"""Benchmarks and scripts of the developers; docs/results/performance.md shows measured speeds."""
+"""Benchmarks and scripts for developers; docs/results/performance.md shows measured speeds."""

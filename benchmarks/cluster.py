@@ -3,11 +3,11 @@
     pip install 'caterpillar-sma[ray]'
     python -m benchmarks.cluster --cores 2 16
     python -m benchmarks.cluster --cores 64 190 --runs 1 3  # alone, and three runs side by side
-    python -m benchmarks.cluster --cost                     # of the real simulation
+    python -m benchmarks.cluster --cost                     # cost of the real simulation
 
 The nodes are real: each has its own raylet and worker processes. `RayEvaluator` splits the generations
-and collects the results. Only the simulation is replaced: a task sleeps for as long as it would take. It
-needs no core, so a cluster can declare more cores than this machine has.
+and collects the results. Only the simulation is replaced: a task sleeps for as long as the simulation
+would take. Sleeping needs no core, so a cluster can declare more cores than this machine has.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def run(seed: int, share: float, seconds: float) -> list[list[Task]]:
 
 
 def schedule(cores: int) -> float:
-    """Return the utilization that generations alone allow, if Ray needed no time.
+    """Return the utilization that the generations would allow if Ray needed no time.
 
     A worker that is free takes the next chunk, and no generation begins before the last chunk has ended.
     """
@@ -127,11 +127,11 @@ def schedule(cores: int) -> float:
 
 
 def measure(cores: int, runs: int, seconds: float) -> dict[str, Any]:
-    """Return the row of a number of runs side by side on a cluster that is started already."""
+    """Measure a number of runs side by side on a running cluster. Return a row of the table."""
     with ThreadPoolExecutor(runs) as pool:
         began = time.time()
         made = list(pool.map(lambda seed: run(seed, 1 / runs, seconds), range(runs)))
-    # Until the first run ends: later, fewer runs than wanted would be side by side.
+    # Count only until the first run ends: after that, fewer runs are side by side.
     ended = min(generations[-1][-1].ended for generations in made)
     tasks = [task for generations in made for tasks in generations for task in tasks]
     busy_s = sum(max(min(task.ended, ended) - task.began, 0.0) for task in tasks)

@@ -48,7 +48,7 @@ def write_drawings(folder: Path) -> None:
 
 
 def robot() -> Figure:
-    """Draw the whole robot, with the names of its parts (Fig. 6)."""
+    """Draw the robot, with the names of its parts (Fig. 6)."""
     physics, view = Physics(), View(900, 420)
     renderer = RobotRenderer(_BODY, physics, view, view_length_m=0.6 * length_m((_BODY,) * 4))
     pixels = renderer.draw(renderer.model.qpos0, np.full(physics.num_springs, physics.spring.ambient_c))
@@ -265,7 +265,7 @@ def _prepare(axes: Axes, x: Point, y: Point) -> None:
 
 
 def _segment(axes: Axes, front: float, *, head: bool = False) -> None:
-    """Draw the two elements of a segment from the side, whose legged element is at x = `front`."""
+    """Draw the two elements of a segment from the side; the legged element is at x = `front`."""
     for at, colour in ((front, _HEAD if head else _LEGGED), (front - L / 2, _PLAIN)):
         axes.add_patch(Ellipse((at, AXIS), L / 2, 2 * R, fc=colour, ec=_INK, alpha=0.7))
     axes.plot([front, front], [AXIS, FOOT], color=_INK, lw=2, zorder=1)
@@ -315,7 +315,7 @@ def _measure(
         axes: where to draw.
         start: one end, mm.
         end: the other end, mm.
-        text: its symbol.
+        text: symbol of the dimension.
         below: whether the text is below a horizontal dimension.
         right: whether the text is on the right of a vertical one.
         lead: x from which auxiliary lines lead to the ends of a vertical dimension.

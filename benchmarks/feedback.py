@@ -1,4 +1,4 @@
-"""Policies with new springs, and in part with new friction and slopes: does feedback help?
+"""Test policies with new springs, friction and slopes: does feedback help?
 
     python -m benchmarks.feedback results/rl/winners/ppo*/seed-*.json
     python -m benchmarks.feedback studies/rl/cells/ppo*/seed-*    # after caterpillar study --preset rl

@@ -40,11 +40,11 @@ STUDY = ROOT / "results" / "search"
 TRAINING = ROOT / "results" / "rl-ablation"
 POLICIES = {"ppo-timing": "PPO, times", "ppo-switch": "PPO, switches", "ppo-codesign": "PPO, co-design"}
 OUT = ROOT / "docs" / "images" / "gallery"
-ARM = "ga-uniform"  # of the study; its robots that failed are shown
+ARM = "ga-uniform"  # arm of the study whose failed robots are shown
 STILLS = 5  #: pictures of a gait period
 WAVE_START_S = 15.0  # start of the gait period that the figure of the wave shows
 #: The study has no robots that jumped or diverged. Springs that are much stronger make them diverge
-#: with an explicit integrator. If they are also heated in a fraction of a second, they throw robots up.
+#: with an explicit integrator. If they are also heated in a fraction of a second, robots jump.
 _SPRING = SmaSpring(austenite_stiffness_n_m=1000.0, force_limit_n=20.0)
 UNSTABLE = Physics(spring=_SPRING, integrator="implicitfast", timestep_s=0.01)
 STRONG = Physics(spring=replace(_SPRING, drive_current_a=3.0))
@@ -56,7 +56,7 @@ class Shot(NamedTuple):
     failure: Failure
     speed: float  #: simulated seconds per second
     camera: Camera
-    physics: Physics | None = None  #: of random robots; by default, robots of the study are taken
+    physics: Physics | None = None  #: physics of random robots; by default, of robots of the study
 
 
 SHOTS = (
@@ -101,7 +101,7 @@ def find_failing(shot: Shot) -> Robot:
     """Return a robot that fails in the given way.
 
     Raises:
-        LookupError: there is none among the candidates.
+        LookupError: no candidate fails in this way.
     """
     if shot.physics is None:
         candidates: Iterable[Robot] = failed_in_study(shot.failure)
@@ -115,7 +115,7 @@ def find_failing(shot: Shot) -> Robot:
 
 
 def failed_in_study(failure: Failure) -> Iterator[Robot]:
-    """Yield robots of the study that failed in the given way, those that failed early first."""
+    """Yield robots of the study that failed in the given way, the earliest failures first."""
     table = polars.read_parquet(STUDY / "evaluations.parquet")
     found = table.filter(arm=ARM, failure=failure.label).sort("simulated_s", "seed", "evaluation")
     for row in found.iter_rows(named=True):
@@ -132,16 +132,16 @@ class Period(NamedTuple):
     """One gait period of a robot, with K thermal steps."""
 
     qpos: Array  #: generalized positions, (K, nq)
-    temperature_c: Array  #: of each pair of springs, (K, pairs)
+    temperature_c: Array  #: temperature of each pair of springs, (K, pairs)
     power: Array  #: share of the drive power of each pair, (K, pairs)
     load_n: Array  #: vertical load on the feet of each segment, (K, segments)
-    advance_m: Array  #: of the centre of mass, (K,)
+    advance_m: Array  #: advance of the centre of mass, (K,)
 
 
 def measure_period(robot: Robot) -> Period:
     """Simulate a robot in a plain MuJoCo loop that reads the load of every foot.
 
-    The period begins at `WAVE_START_S`. The timings of the robot are those of mirrored pairs.
+    The period begins at `WAVE_START_S`. The robot must have mirrored timings.
     """
     physics, period_s = robot.physics, robot.timings.period_s
     crawl = Crawl([robot.morphology], physics, threads=1)
@@ -240,7 +240,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kinds", nargs="*", metavar="KIND", help=f"{', '.join(kinds)}; all by default")
     parser.add_argument("--out", type=Path, default=OUT, help="folder for the pictures")
-    parser.add_argument("--scale", type=float, default=1.0, help="size of the films, relative")
+    parser.add_argument("--scale", type=float, default=1.0, help="factor on the size of the films")
     args = parser.parse_args()
     if unknown := set(args.kinds) - set(kinds):
         parser.error(f"unknown kind {', '.join(sorted(unknown))}; choose from {', '.join(kinds)}")

@@ -51,7 +51,7 @@ def spread(values: Array) -> dict[str, float]:
 
 
 def interval(values: Array) -> dict[str, float]:
-    """Return the median and its interval by the bootstrap, which is unknown for a single value."""
+    """Return the median and its bootstrap interval, which is NaN for a single value."""
     if len(values) == 1:
         return {"median": float(values[0]), "low": float("nan"), "high": float("nan")}
     value, low, high = median(values)

@@ -6,8 +6,8 @@
 
 All optimizers search waves with the priors of body and gait, and spend the same simulated time. Racing
 stops two thirds of each generation early. Ten seeds of one optimizer take about 20 minutes on two cores.
-The file `runs.csv` of the folder holds the results of finished runs. The same command makes the missing
-runs, and prints a table of all.
+The file `runs.csv` of the folder holds the results of finished runs. Repeat the command to make the
+missing runs and print a table of all runs.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Asked:
         raise CaterpillarError("the optimizer ended before the budget was spent")
 
     def tell(self, genomes: Array, fitness: Array) -> None:
-        """Return their costs to the function."""
+        """Pass the costs of these genomes to the minimizer."""
         self._costs.put((-fitness).tolist())
 
 
@@ -128,7 +128,7 @@ class Creep(GeneticAlgorithm):
 
 
 class Centred:
-    """Base class of optimizers that see genes with the peak of each circular one at 0.5."""
+    """Base class of optimizers whose circular genes are shifted so that the priors peak at 0.5."""
 
     def __init__(self, config: RunConfig) -> None:
         rows = zip(config.distributions(), config.encoding.genes, strict=True)
@@ -144,7 +144,7 @@ class Centred:
 
 
 class WarmStart(Centred):
-    """WS-CMA-ES of cmaes (Nomura et al. 2021): begins with what the prior says about good genomes."""
+    """WS-CMA-ES of cmaes (Nomura et al. 2021): begins with a Gaussian fitted to the prior."""
 
     def __init__(self, config: RunConfig) -> None:
         import cmaes
@@ -173,7 +173,8 @@ class WarmStart(Centred):
 class PiBO(Centred):
     """piBO of SMAC (Hvarfner et al. 2022): Bayesian optimization that weights genomes by their prior.
 
-    It simulates one robot at a time, to the end. The weight of the prior decays with their number.
+    It simulates one robot at a time, to the end. The weight of the prior decays with the number of
+    robots.
     """
 
     def __init__(self, config: RunConfig) -> None:
@@ -294,7 +295,7 @@ def run(name: str, seed: int, out: Path) -> dict[str, Any]:
 
 
 def name_of(threshold_m: float) -> str:
-    """Return the column of the time to a threshold, s; infinite if it was not reached."""
+    """Return the name of the column with the time to a threshold, s (infinite if not reached)."""
     return f"s_to_{1000 * threshold_m:.0f}_mm"
 
 
@@ -319,7 +320,7 @@ def summarize(rows: polars.DataFrame, shade: polars.DataFrame) -> dict[str, Any]
 
 
 def main() -> None:
-    """Make the missing runs, and print a table of all finished ones."""
+    """Make the missing runs, and print a table of all finished runs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", default=NAMES, help=f"from {', '.join(NAMES)}")
     parser.add_argument("--seeds", default="0,1,2,3,4,5,6,7,8,9")
@@ -329,7 +330,7 @@ def main() -> None:
     file = args.out / "runs.csv"
     rows = polars.read_csv(file).rows(named=True) if file.exists() else []
     known = {(row["optimizer"], row["seed"]) for row in rows}
-    # Seed by seed, so that an early end leaves as many runs of each optimizer.
+    # Seed by seed, so that an early end leaves equally many runs of each optimizer.
     wanted = [(name, int(seed)) for seed in args.seeds.split(",") for name in args.names]
     with ProcessPoolExecutor(cores(), get_context("spawn"), max_tasks_per_child=1) as pool:
         made = [pool.submit(run, *cell, args.out) for cell in wanted if cell not in known]

@@ -1,7 +1,7 @@
 """Endurance of the vector environment with extreme bodies, and of the renderer.
 
     python -m benchmarks.soak                             # seconds
-    python -m benchmarks.soak --steps 62500 --rows 16     # a million steps of a robot, minutes
+    python -m benchmarks.soak --steps 62500 --rows 16     # a million robot steps, minutes
     python -m benchmarks.soak --steps 1000000             # hours
 
 Every robot has a body from a corner of the bounds, and gets another one when its episode ends. Its
@@ -28,7 +28,7 @@ from caterpillar_env.morphology import LOWER, UPPER
 from caterpillar_env.task import Failure
 
 DUTIES = (0.1, 0.5, 1.0)
-ALLOWED_GROWTH_MB = 60.0  #: in the second half; models are cached for 256 bodies, which takes 40 MB
+ALLOWED_GROWTH_MB = 60.0  #: growth in the second half; the cached models of 256 bodies take 40 MB
 
 
 def memory_mb() -> float:

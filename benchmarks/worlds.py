@@ -2,7 +2,7 @@
 
     python -m benchmarks.worlds scores                 # about five minutes on two cores
     python -m benchmarks.worlds costs                  # about two minutes
-    python -m benchmarks.worlds matrix results/worlds  # three minutes, or of another study in worlds
+    python -m benchmarks.worlds matrix results/worlds  # three minutes; also takes other studies
 
 Distances are those in 30 s. Robots that fail count as 0.
 """

@@ -2,8 +2,8 @@
 
 Importing this package registers `CaterpillarSMA-v0` (one step is one gait period) and
 `CaterpillarSMASwitch-v0` (one step switches every spring on or off), each with a native vector
-environment for `gymnasium.make_vec`. Both also exist for other worlds, such as
-`CaterpillarSMA-Rough-v0`, with `Slope`, `Steps`, `Rough` or `Patches` in the name.
+environment for `gymnasium.make_vec`. Variants in other worlds have `Slope`, `Steps`, `Rough` or
+`Patches` in the name, such as `CaterpillarSMA-Rough-v0`.
 """
 
 from importlib import import_module as _import_module

@@ -18,7 +18,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 
 def select(rows: Rows, size: int) -> Rows | slice:
-    """Return an index of the same rows of arrays with `size` rows, as a slice if it is all of them.
+    """Return `rows` as an index of arrays with `size` rows, or a slice if it selects all rows in order.
 
     NumPy takes several times as long with an array of indices as with a slice. A slice gives views.
 
@@ -34,9 +34,9 @@ def select(rows: Rows, size: int) -> Rows | slice:
 def compiled(function: _F) -> _F:
     """Return a function that Numba compiles at its first call, or reads from its cache.
 
-    The function has loops over numbers, and calls no trigonometric functions, whose last bits depend on
-    the library. Numba compiles again if the module changes, but not if another module does: do not use
-    constants of other modules. Numba is imported at the first call, because that takes time.
+    Use this for loops over numbers. Do not call trigonometric functions: their last bits depend on the
+    library. Numba compiles again if the module changes, but not if another module changes, so do not use
+    constants of other modules. Numba is imported at the first call, because importing it takes time.
     """
 
     @cache

@@ -38,8 +38,8 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         morphology: the body: a mapping of the parameters that differ from the nominal body, the eight
             values of `morphology.NAMES`, or a `Morphology`.
         physics: a mapping of the fields that differ from the defaults of `Physics`, or a `Physics`.
-        world: ground to crawl on, in place of `physics.world`, see `World.of`: "rough", for example, or
-            "slope:angle_deg=5".
+        world: ground to crawl on, such as "rough" or "slope:angle_deg=5", see `World.of`. It replaces
+            `physics.world`.
         action_mode: "timing", where a step is a gait period and the action holds on and off times;
             "phase", the same with delays and duties; or "switch", where a step is a control interval of
             0.1 s and the action switches springs.
@@ -57,9 +57,9 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
             to 0.7 rad. Distances, rewards and the heading in the observation refer to it.
         randomization: ranges of the conditions to sample at each reset: a mapping from fields of
             `Randomization` to lower and upper bounds.
-        faults: springs that fail in each episode: a number, or a mapping of fields of `Faults`.
+        faults: number of springs that fail in each episode, or a mapping of fields of `Faults`.
         terminate_on_failure: whether a failure ends the episode. A divergence always does.
-        render_mode: None or "rgb_array". With pygame, `gymnasium.make` shows "human" in a window.
+        render_mode: None or "rgb_array". With pygame, `gymnasium.make` also accepts "human" (a window).
         width: width of the frames, pixels.
         height: height of the frames, pixels.
         camera_name: "track", "side" or "top"; all of them follow the robot.
@@ -150,7 +150,7 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         """Continue from a state: body, conditions, motion, springs, clock and random generator.
 
         Raises:
-            CaterpillarError: the state is that of several robots, or of another number of segments.
+            CaterpillarError: the state has several robots or another number of segments.
         """
         self._episodes.set_state(state, _ROW)
         (generator,) = state.generators

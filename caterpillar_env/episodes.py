@@ -83,7 +83,7 @@ class Episodes:
         self._limit = count_steps(config.episode_s, CONTROL_INTERVAL_S, "episode_s")
         if config.max_episode_steps:
             self._limit = min(self._limit, config.max_episode_steps * self._step_intervals)
-        # At the start of a gait period, the observed phase would always be zero.
+        # In timing and phase mode, steps always start at phase zero, so it is not observed.
         self._clock_s = None if periodic else config.gait_period_s
         self._scaled_bodies = np.zeros((len(bodies), len(NAMES)))  # in [-1, 1], as observed
         self._intervals = np.zeros(len(bodies), dtype=np.int64)  # since reset
@@ -170,7 +170,7 @@ class Episodes:
         expected = (len(rows), self.config.physics.num_springs)
         if state.crawl.simulation.fraction.shape != expected:
             raise CaterpillarError(
-                f"the state must be that of {expected[0]} robots with {expected[1]} springs each; got "
+                f"the state must have {expected[0]} robots with {expected[1]} springs each; got "
                 f"{' robots with '.join(map(str, state.crawl.simulation.fraction.shape))} springs"
             )
         self.crawl.reset(state.bodies, rows, conditions=state.conditions)
@@ -221,7 +221,7 @@ class Episodes:
         return observation, forward + ctrl + failure, terminated, truncated, info
 
     def _fault_info(self, rows: Rows) -> dict[str, NDArray[Any]]:
-        """Return the share of the drive power that each spring gets now, (R, springs), with faults."""
+        """Return the share of the drive power of each spring now, (R, springs), if there are faults."""
         if self.config.faults is None:
             return {}
         failed = self._intervals[rows] * STEPS_PER_INTERVAL >= self._fault_step[rows]
@@ -238,7 +238,7 @@ class Episodes:
         if array is None or array.shape != expected:
             got = show(actions) if array is None else f"shape {array.shape}"
             raise CaterpillarError(
-                f"actions must be numbers of shape {expected[1:]} per robot, {expected} in all; "
+                f"actions must be numbers of shape {expected[1:]} per robot, {expected} in total; "
                 f"got {got}"
             )
         switch = self.config.action_mode == "switch"
@@ -300,7 +300,7 @@ class WithSpec:
 def _info(
     state: BodyState, before: Progress, now: Progress, forward: Array, ctrl: Array, failure: Array
 ) -> dict[str, NDArray[Any]]:
-    """Return the info of robots, which moved from `before` to `now` with these rewards."""
+    """Return the info of robots that moved from `before` to `now` with these rewards."""
     elapsed_s = np.maximum(now.time_s - before.time_s, CONTROL_INTERVAL_S)
     return {
         "x_position": state.com_m[:, 0],
@@ -320,7 +320,7 @@ def _info(
 
 
 def make_generator(state: dict[str, Any] | None) -> np.random.Generator | None:
-    """Return a random generator with a state of `EpisodeState.generators`."""
+    """Return a random generator with a state from `EpisodeState.generators`."""
     if state is None:
         return None
     generator = np.random.Generator(np.random.PCG64())

@@ -24,9 +24,9 @@ _TYPES: dict[Any, tuple[Any, str]] = {
 
 
 class CaterpillarError(ValueError):
-    """A value, a file or a call that does not fit; base class of the other errors of this project.
+    """Invalid value, file or call. Base class of the other errors of this project.
 
-    The message becomes one line of at most 1000 characters, whatever it quotes.
+    The message is shortened to one line of at most 1000 characters.
     """
 
     def __init__(self, message: str) -> None:
@@ -82,17 +82,17 @@ def to_number(value: Any) -> int | float | None:
 def check_number(
     name: str, value: Any, lower: float = -math.inf, upper: float = math.inf, *, whole: bool = False
 ) -> Any:
-    """Return a finite number between two bounds, which are included, as a Python number.
+    """Return `value` as a Python number, after checking that it is finite and within bounds.
 
     Args:
         name: name of the value for error messages.
         value: the value.
-        lower: least value.
-        upper: greatest value.
+        lower: smallest valid value.
+        upper: largest valid value.
         whole: whether only integers are valid, up to 2**63 in magnitude.
 
     Raises:
-        CaterpillarError: the value is no such number.
+        CaterpillarError: the value is not a valid number.
     """
     number = to_number(value)
     typed = number is not None and not (whole and (isinstance(number, float) or abs(number) > 2**63))
@@ -112,7 +112,7 @@ def check_fields(instance: Any, bounds: Mapping[str, tuple[float, float]] | None
 
     Args:
         instance: the dataclass; this is called from its `__post_init__`.
-        bounds: least and greatest value of numbers, by name of the field.
+        bounds: smallest and largest valid number, by name of the field.
 
     Raises:
         CaterpillarError: a value has another type, is not finite or is out of bounds.

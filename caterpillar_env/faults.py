@@ -18,7 +18,7 @@ _BOUNDS = {"springs": (1, 1000), "power": (0.0, 1.0), "time_s": (0.0, MAX_STEPS 
 
 @dataclass(frozen=True)
 class Faults:
-    """Which springs fail in an episode, and when. Springs and time are sampled at each reset.
+    """Failures of springs in an episode. The springs and the time are sampled at each reset.
 
     A spring without power stays in the body. It cools down and remains slack.
 
@@ -26,8 +26,8 @@ class Faults:
         CaterpillarError: a value has the wrong type or is out of range.
     """
 
-    springs: int = 1  #: number of springs that fail; different ones in every episode
-    power: float = 0.0  #: share of the drive power that they keep: 0 for dead, more for weak springs
+    springs: int = 1  #: number of springs that fail, sampled anew in every episode
+    power: float = 0.0  #: share of the drive power that failed springs keep; 0 for dead springs
     time_s: tuple[float, ...] = (0.0, 0.0)  #: earliest and latest time of the failure, since reset
 
     def __post_init__(self) -> None:
@@ -39,7 +39,7 @@ class Faults:
 
     @classmethod
     def of(cls, value: Faults | Mapping[str, Any] | int | None) -> Faults | None:
-        """Return `value` as `Faults`. A number is that of the springs.
+        """Return `value` as `Faults`. A number is the number of springs.
 
         Raises:
             CaterpillarError: a field is unknown or its value is invalid.
@@ -51,7 +51,7 @@ class Faults:
         return from_mapping(cls, value, "faults")
 
     def draw(self, num_springs: int, rng: np.random.Generator) -> tuple[Array, int]:
-        """Sample an episode: the share of the power that each spring keeps, and the thermal step."""
+        """Sample the share of the power that each spring keeps, and the thermal step of the failure."""
         shares = np.ones(num_springs)
         shares[rng.choice(num_springs, self.springs, replace=False)] = self.power
         earliest, latest = self.time_s

@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 ELSEWHERE = "choose another place with --out"
 #: Advice for files whose place is fixed.
-COPY = "free some space, or copy the folder to a place that can be written"
+COPY = "free some space, or copy the folder to a writable place"
 
 
 @contextmanager
@@ -39,7 +39,7 @@ def writing(path: Path, advice: str = ELSEWHERE) -> Iterator[None]:
 
 
 def make_folder(path: Path, otherwise: str) -> None:
-    """Create a folder. An existing folder is accepted if it has at most hidden files.
+    """Create a folder. An existing folder is accepted if it is empty or has only hidden files.
 
     A process that is killed at the start leaves locks and partial files, which are hidden.
 

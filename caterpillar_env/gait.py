@@ -1,8 +1,8 @@
-"""Gaits: a periodic pattern of on and off times of the power to each spring (Saunders 2009, III).
+"""Gaits: periodic on and off times of the power to each spring (Saunders 2009, section III).
 
 Springs are numbered gap by gap from the head, four to a gap: dorsal left, dorsal right, ventral left,
-ventral right. A *pair* is the left and the right spring at one height: pair 2g is the dorsal one of gap
-g, pair 2g + 1 the ventral one.
+ventral right. A *pair* is the left and the right spring at one height: pair 2g is the dorsal pair of
+gap g, and pair 2g + 1 is its ventral pair.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class GaitTimings:
 
         The delay of a dorsal pair counts from the dorsal pair of the gap ahead; in the first gap, it
         counts from the start of the period. The delay of a ventral pair counts from the dorsal pair of
-        the same gap. Delays are circular: 0 and 1 are the same.
+        the same gap. Delays wrap around: 0 and 1 are the same.
 
         Args:
             delay: delay of each pair, shape (..., pairs).
@@ -141,7 +141,7 @@ class GaitTimings:
         return np.stack([self.on_s, self.off_s], axis=-1).reshape(*self.on_s.shape[:-1], -1)
 
     def __getitem__(self, rows: Any) -> GaitTimings:
-        """Return the timings of some robots, as by indexing arrays: `timings[2]`, `timings[None]`."""
+        """Return the timings of some robots, indexed like arrays: `timings[2]`, `timings[None]`."""
         return GaitTimings(self.period_s, self.on_s[rows], self.off_s[rows])
 
     def mirrored(self) -> GaitTimings:
@@ -180,7 +180,7 @@ class GaitTimings:
         steps = count_steps(self.period_s, step_s, "the gait period")
         edges = np.linspace(0.0, self.period_s, steps + 1)[:, None]
         on, off = self.on_s[..., None, :], self.off_s[..., None, :]
-        # Time spent between on and off, or (wrapped) off and on, from the start of the period.
+        # Time between on and off (if wrapped: off and on) that has passed since the start of the period.
         inside = np.clip(edges, np.minimum(on, off), np.maximum(on, off))
         powered = np.where(off >= on, inside, edges - inside)
         return np.clip(np.diff(powered, axis=-2) / (self.period_s / steps), 0.0, 1.0)
@@ -191,7 +191,7 @@ def count_steps(duration_s: float, step_s: float, what: str) -> int:
 
     Raises:
         CaterpillarError: the duration, called `what`, is not a positive multiple of `step_s`, or it has
-            more than `MAX_STEPS` of them.
+            more than `MAX_STEPS` steps.
     """
     duration, step = to_number(duration_s), to_number(step_s)
     shown = f"{show(duration_s)} s" if duration is None else f"{duration:g} s"
@@ -199,7 +199,7 @@ def count_steps(duration_s: float, step_s: float, what: str) -> int:
     count = round(steps) if 0 < steps < 2 * MAX_STEPS else 0
     if not 1 <= count <= MAX_STEPS:
         raise CaterpillarError(
-            f"{what} of {shown} must be a whole multiple of {step_s} s, at most {MAX_STEPS:,} times it"
+            f"{what} of {shown} must be a whole multiple of {step_s} s, with at most {MAX_STEPS:,} steps"
         )
     if abs(count * step_s - duration_s) > 1e-9 * max(1.0, duration_s):
         raise CaterpillarError(f"{what} of {shown} must be a whole multiple of {step_s:g} s")

@@ -21,7 +21,7 @@ FOOT, SKIN = 1, 2
 STANCE_M = 1e-9
 #: Clearance below which pictures and replays mark a part as touching the ground.
 TOUCHING_M = 1e-4
-#: MuJoCo uses the friction of the geom with the highest priority: of a tile, the robot, or the ground.
+#: Priorities; that of the ground is 0. MuJoCo uses the friction of the geom with the higher priority.
 TILE, ROBOT = 2, 1
 _LAYERS = {"ground": FOOT, "ground_skin": SKIN}
 _FORCE = 1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value
@@ -88,7 +88,7 @@ def _make_rough(spec: mujoco.MjSpec, world: Rough) -> list[dict[str, Any]]:
 
 
 def _make_tiles(world: Patches, friction: float) -> list[dict[str, Any]]:
-    """Return tiles whose colour shows their friction: the more slippery, the bluer."""
+    """Return tiles whose colour shows their friction; slippery tiles are bluer."""
     *edges, factors = world.factors()
     x, y = ([-_FAR_M, *inner[1:-1].tolist(), _FAR_M] for inner in edges)
     parts = []
@@ -105,7 +105,7 @@ def _make_tiles(world: Patches, friction: float) -> list[dict[str, Any]]:
 
 
 def _box(x: tuple[float, float], y: tuple[float, float], top_m: float = 0.0) -> dict[str, Any]:
-    """Return a box between two x and two y, whose top is at a height, m."""
+    """Return a box that spans the ranges `x` and `y`, with its top at the height `top_m`."""
     return {
         "type": mujoco.mjtGeom.mjGEOM_BOX,
         "size": [(x[1] - x[0]) / 2, (y[1] - y[0]) / 2, _DEEP_M],

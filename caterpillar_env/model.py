@@ -95,7 +95,7 @@ class ModelBuilder:
         if self.spec is None:
             self.spec = _new_spec(self._physics)
         self._add_robot(self.spec)
-        if is_new:  # after the robot, whose elements have the first indices of bodies
+        if is_new:  # after the robot, so that its elements get the first body indices
             ground = add_ground(self.spec, self._physics.world)
             if self._scenery:
                 add_scenery(self.spec, ground, level=self._physics.world.level)
@@ -199,7 +199,7 @@ class ModelBuilder:
     def _hinge_stiffness(self, ratio: float, limit_rad: float) -> list[float]:
         """Return the polynomial coefficients of a hinge's stiffness, for `ratio` necks in parallel.
 
-        The moment is k q (1 + s (q / limit)^2), as silicone stiffens towards the limit.
+        The moment is k q (1 + s (q / limit)^2), because silicone stiffens towards the limit.
         """
         linear = ratio * self._physics.neck_stiffness_n_m_rad
         return [linear, 0.0, linear * self._physics.neck_stiffening / limit_rad**2]
@@ -262,13 +262,13 @@ def trim_tendons(model: mujoco.MjModel) -> None:
 
 
 def _neck_offset(ahead: Morphology, behind: Morphology) -> list[float]:
-    """Return the position of a segment's first element relative to the last of the segment ahead, m."""
+    """Return the offset from the last element of a segment to the first of the segment behind it, m."""
     length = (ahead.segment_length_m + behind.segment_length_m) / 4
     return [-length, 0.0, 2 * behind.segment_radius_m - 2 * ahead.segment_radius_m]
 
 
 def pretension(ahead: Morphology, behind: Morphology, spring: SmaSpring) -> float:
-    """Return the force along a straight body of the four cold springs between two segments, N.
+    """Return the axial force of the four cold springs between two segments of a straight body, N.
 
     Between identical segments, springs have the length L + 2x and are parallel to the body.
     """

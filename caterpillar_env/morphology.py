@@ -130,7 +130,7 @@ def segments_of(body: Body, num_segments: int) -> tuple[Morphology, ...]:
     """Return the morphology of each segment, from head to tail.
 
     Raises:
-        CaterpillarError: `body` is neither one morphology nor one per segment.
+        CaterpillarError: `body` is a tuple of another length than `num_segments`.
     """
     if isinstance(body, Morphology):
         return (body,) * num_segments

@@ -60,25 +60,25 @@ class Physics:
 
     num_segments: int = 4  #: number of segments, at least 2
     spring: SmaSpring = field(default_factory=SmaSpring)
-    neck_stiffness_n_m_rad: float = 6e-3  #: linear stiffness of a neck, silicone (Dragon Skin 10)
-    neck_stiffening: float = 5.0  #: relative cubic moment of a neck at its joint limit
-    neck_damping_n_m_s_rad: float = 2e-4  #: neck damping by silicone, coils and anchors
-    axial_stiffness_n_m: float = 500.0  #: stiffness of the prismatic joint in a segment
-    axial_damping_n_s_m: float = 1.0  #: damping of that joint
-    axial_range: float = 0.15  #: travel of that joint in each direction, relative to the segment length
+    neck_stiffness_n_m_rad: float = 6e-3  #: linear neck stiffness, N m/rad; silicone (Dragon Skin 10)
+    neck_stiffening: float = 5.0  #: cubic moment of a neck at its limit, relative to the linear moment
+    neck_damping_n_m_s_rad: float = 2e-4  #: neck damping, N m s/rad, by silicone, coils and anchors
+    axial_stiffness_n_m: float = 500.0  #: stiffness of the prismatic joint in a segment, N/m
+    axial_damping_n_s_m: float = 1.0  #: damping of the prismatic joint, N s/m
+    axial_range: float = 0.15  #: travel of the prismatic joint each way, relative to the segment length
     bend_ratio: float = 2.0  #: stiffness and damping of the intra-segment hinge, relative to a neck
     bend_axis: BendAxis = "yaw"  #: axis of the intra-segment hinge (our choice)
-    friction: float = 0.8  #: coefficient of feet and elements on the ground
+    friction: float = 0.8  #: friction coefficient of feet and elements on the ground
     mismatch_std: float = 0.05  #: relative standard deviation of the spring strengths
     mismatch_seed: int = 0  #: random seed of the spring strengths
-    spring_strengths: tuple[float, ...] | None = None  #: force factor of each spring; None samples them
-    timestep_s: float = 0.0025  #: physics timestep; must divide 0.01
+    spring_strengths: tuple[float, ...] | None = None  #: factor on each spring's force; None: sampled
+    timestep_s: float = 0.0025  #: physics timestep, s; must divide 0.01
     integrator: Integrator = "discrete"  #: MuJoCo integrator; use rk4 with 0.25 ms
     solver: Solver = "newton"  #: MuJoCo constraint solver
     cone: Cone = "elliptic"  #: MuJoCo friction cone
     impratio: float = 100.0  #: MuJoCo impedance ratio; large values reduce slip
-    contact_time_constant_s: float = 0.01  #: of contacts with the ground, s; larger is softer
-    stop_time_constant_s: float = 0.005  #: of the joint stops, s; two timesteps by default
+    contact_time_constant_s: float = 0.01  #: time constant of ground contacts, s; larger is softer
+    stop_time_constant_s: float = 0.005  #: time constant of joint stops, s; two timesteps by default
     solver_tolerance: float = 1e-8  #: MuJoCo solver tolerance
     solver_iterations: int = 100  #: maximum number of MuJoCo solver iterations
     world: World = field(default_factory=Flat)  #: ground, such as rough or slope:angle_deg=5
@@ -90,7 +90,9 @@ class Physics:
         object.__setattr__(self, "world", World.of(self.world))
         check_fields(self, BOUNDS)
         if isinstance(self.world, Patches) and self.friction == 0:
-            raise CaterpillarError("friction = 0 must be positive in the world patches, which scales it")
+            raise CaterpillarError(
+                "friction = 0 must be positive in the world patches, because tiles scale the friction"
+            )
         strengths = self.spring_strengths
         if strengths is not None and len(strengths) != self.num_springs:
             raise CaterpillarError(

@@ -16,10 +16,10 @@ class Pose:
     """Positions of R robots, in the world frame and SI units: the inputs of the failure check.
 
     After a step, all fields except the time refer to the start of the last physics step (2.5 ms earlier
-    by default), as in Gymnasium's MuJoCo environments. An update would make every step 3 % slower.
+    by default), as in Gymnasium's MuJoCo environments. Updating them would make every step 3 % slower.
     """
 
-    time_s: Array  #: simulated since reset, (R,)
+    time_s: Array  #: simulated time since reset, (R,)
     com_m: Array  #: centre of mass of the robot, (R, 3)
     up: Array  #: mean upward axis of the elements, (R, 3)
     forward: Array  #: mean forward axis of the elements, (R, 3)
@@ -36,8 +36,8 @@ class BodyState(Pose):
 
     velocity: Array  #: mean velocity (3) and mean angular velocity (3) of the elements, (R, 6)
     joint_position: Array  #: axial, bend and neck joints from head to tail, m or rad, (R, J)
-    joint_velocity: Array  #: their velocities, m/s or rad/s, (R, J)
-    temperature_c: Array  #: of the springs, (R, num_springs)
+    joint_velocity: Array  #: velocities of these joints, m/s or rad/s, (R, J)
+    temperature_c: Array  #: spring temperatures, (R, num_springs)
     fraction: Array  #: austenite fraction, (R, num_springs)
 
 
@@ -45,8 +45,8 @@ class Trace(NamedTuple):
     """Poses, temperatures and energy after every thermal step, for drawing."""
 
     qpos: Array  #: MuJoCo generalized positions, (R, K, nq)
-    temperature_c: Array  #: of the springs, (R, K, num_springs)
-    energy_j: Array  #: electrical, since reset, (R, K)
+    temperature_c: Array  #: spring temperatures, (R, K, num_springs)
+    energy_j: Array  #: electrical energy since reset, (R, K)
 
 
 class SimulationState(NamedTuple):
@@ -56,11 +56,11 @@ class SimulationState(NamedTuple):
     qvel: Array  #: MuJoCo generalized velocities, (R, nv)
     time_s: Array  #: MuJoCo's time, (R,)
     warmstart: Array  #: accelerations from which MuJoCo's solver starts, (R, nv)
-    enthalpy_j_kg: Array  #: of the springs, (R, num_springs)
+    enthalpy_j_kg: Array  #: specific enthalpy of the springs, (R, num_springs)
     fraction: Array  #: austenite fraction of the springs, (R, num_springs)
     steps: NDArray[np.int64]  #: thermal steps since reset, (R,)
     energy_j: Array  #: electrical energy since reset, (R,)
-    load_n: Array  #: on feet and skin, mean of the last interval, (R, 2)
+    load_n: Array  #: vertical load on feet and skin, mean of the last interval, (R, 2)
 
 
 @compiled

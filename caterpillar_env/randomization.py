@@ -26,7 +26,7 @@ Range = tuple[float, float]
 class Conditions(NamedTuple):
     """Conditions of one episode."""
 
-    friction: float  #: coefficient of feet and elements on the ground
+    friction: float  #: friction coefficient of feet and elements on the ground
     strengths: tuple[float, ...]  #: factor on the force of each spring
     mass: float  #: factor on the mass of the body
     ambient_c: float  #: air temperature, degC
@@ -34,13 +34,13 @@ class Conditions(NamedTuple):
 
 @dataclass(frozen=True)
 class Randomization:
-    """Ranges to sample conditions from, uniformly, at each reset. None keeps the value of `Physics`.
+    """Ranges of conditions, sampled uniformly at each reset. None keeps the value of `Physics`.
 
     Raises:
         CaterpillarError: a range is not a pair of increasing numbers, or is out of bounds.
     """
 
-    friction: Range | None = None  #: coefficient of feet and elements on the ground
+    friction: Range | None = None  #: friction coefficient of feet and elements on the ground
     mismatch_std: Range | None = None  #: standard deviation of newly sampled spring strengths
     spring_force: Range | None = None  #: factor on the force of all springs
     mass: Range | None = None  #: factor on the mass of the body

@@ -40,7 +40,7 @@ class Outcomes(NamedTuple):
 
     @classmethod
     def join(cls, parts: Iterable[Outcomes]) -> Outcomes:
-        """Return the outcomes of several groups of robots in one."""
+        """Join the outcomes of several groups of robots."""
         return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
     def rows(self, rows: Any) -> Outcomes:
@@ -89,7 +89,7 @@ def follow(
     """Advance the robots of a `Crawl` with periodic gaits, until a time since their reset.
 
     Args:
-        crawl: P robots. Those that have not failed are at the same time.
+        crawl: P robots. All that have not failed must be at the same simulated time.
         timings: see `simulate`.
         end_s: time until which to simulate, s, a multiple of 0.1 s.
         on_interval: see `simulate`.
@@ -112,7 +112,7 @@ def repeat(
 
     Args:
         crawl: see `follow`.
-        power: power of one period from the reset on, as for `Crawl.run`, shape (P, steps, springs).
+        power: power of one period, which starts at the reset, (P, steps, springs); see `Crawl.run`.
         end_s: see `follow`.
         on_interval: see `simulate`.
         on_progress: see `follow`.
@@ -132,7 +132,7 @@ def repeat(
 
 
 class AnyRobot(Protocol):
-    """Interface of robots for videos and comparisons: a `Robot`, or one with a trained policy."""
+    """Interface of robots for videos and comparisons: a `Robot`, or a robot with a trained policy."""
 
     @property
     def morphology(self) -> Body:
@@ -156,10 +156,10 @@ class AnyRobot(Protocol):
         """Simulate the robot, with a different timestep if `timestep_s` is given; see `simulate`."""
 
     def with_physics(self, **changes: Any) -> Self:
-        """Return the robot with other values of fields of `Physics`."""
+        """Return a copy of the robot with changed fields of `Physics`."""
 
     def save(self, path: Path) -> None:
-        """Write the robot as JSON. A policy writes its weights beside it."""
+        """Write the robot as JSON. A policy also writes its weights beside that file."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class Robot:
     """A body, its gait, and the physics of its evaluation."""
 
     morphology: Body
-    timings: GaitTimings  #: of mirrored pairs or springs, arrays of shape (pairs,) or (springs,)
+    timings: GaitTimings  #: timings of mirrored pairs or springs, arrays of shape (pairs,) or (springs,)
     physics: Physics
     fitness_m: float | None = None  #: recorded fitness
     generation: int | None = None  #: generation in its run
@@ -182,7 +182,7 @@ class Robot:
         return simulate([self.morphology], self.timings[None], physics, **kwargs)
 
     def with_physics(self, **changes: Any) -> Robot:
-        """Return the robot with other values of fields of `Physics`."""
+        """Return a copy of the robot with changed fields of `Physics`."""
         return replace(self, physics=replace(self.physics, **changes))
 
     def power(self) -> Array:
@@ -287,9 +287,9 @@ class Robot:
 
 
 def wave_robot() -> Robot:
-    """Return the nominal robot with a wave from tail to head, which was designed by hand.
+    """Return the nominal robot with a hand-designed wave gait from tail to head.
 
-    Each pair is powered for a fifth of the period, and ventral pairs half a period after dorsal ones.
+    Each pair is powered for a fifth of the period. Ventral pairs follow dorsal pairs by half a period.
     """
     on = np.array([0, 3, 4, 1, 2, 5]) / 6
     on_s, off_s = (GAIT_PERIOD_S * share for share in (on, (on + 0.2) % 1))

@@ -104,7 +104,7 @@ class Simulation:
             CaterpillarError: the process was forked, so that the threads of the batch are missing.
         """
         if os.getpid() != self._process and self._engine.nthread > 1:
-            advice = 'make environments there, use threads=1, or start it with the method "spawn"'
+            advice = 'create environments in it, use threads=1, or use the start method "spawn"'
             raise CaterpillarError(f"a forked process has no threads of this simulation; {advice}")
         return self._engine
 
@@ -194,7 +194,7 @@ class Simulation:
         return SimulationState(*(field[index] for field in self._state_fields()))
 
     def set_state(self, state: SimulationState, rows: Rows | None = None) -> None:
-        """Set the state of robots, which must have the bodies and conditions of `get_state`.
+        """Set the state of robots. Their bodies and conditions must be those at `get_state`.
 
         Args:
             state: state of R robots.
@@ -212,7 +212,7 @@ class Simulation:
         return (*engine, *self._sma, self._steps, self.energy_j, self._load_n)
 
     def heat(self, power: Array, rows: Rows | None = None) -> Heating:
-        """Compute the springs of robots for the next K thermal steps, without moving the robots.
+        """Compute the thermal states of springs for the next K thermal steps. The robots do not move.
 
         Pass the result to `advance`. Temperatures do not depend on the motion, and one call for many
         steps is faster than many calls.
@@ -248,7 +248,7 @@ class Simulation:
             heating: return value of `heat`.
             places: indices into `heating.rows` of the robots to advance, ascending; all by default.
             first: first step. It must be 0 or the `last` of the previous call.
-            last: index after the last step; by default, all steps are made.
+            last: index after the last step; all steps by default.
             trace: whether to record and return a trace of the steps.
         """
         path, energy_j = heating.springs.path, heating.energy_j
@@ -263,7 +263,7 @@ class Simulation:
             nstep=control.shape[1],
             control=control,
             record=("sensordata", "qpos") if trace else ("sensordata",),
-            ids=None if isinstance(rows, slice) else index,  # MuJoCo checks indices at length
+            ids=None if isinstance(rows, slice) else index,  # MuJoCo's check of indices is slow
         )
         self.simulated_s += (last - first) * SMA_STEP_S * len(index)
         self._steps[rows] += last - first
@@ -284,7 +284,7 @@ class Simulation:
         )
 
     def _refresh(self, index: Rows, *, standing: bool = False) -> None:
-        """Update derived fields after a change of the state, or of the height to stand on the ground."""
+        """Update derived fields after a change of the state; `standing` puts robots on the ground."""
         self.engine.forward(index, stage=_POSITIONS_AND_VELOCITIES)
         self._locate(index)
         if standing:

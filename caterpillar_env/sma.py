@@ -29,8 +29,8 @@ from caterpillar_env.errors import CaterpillarError, check_fields
 NODES = 1025
 _PERIODS = 11  #: periods after which temperatures repeat
 _TEMPERATURES = (-273.15, 2000.0)
-#: Bounds of the parameters: a hundredth and a hundred times a plausible value, or more. Beyond them, the
-#: simulation could overflow.
+#: Bounds of the parameters, at least a factor of 100 beyond plausible values. The simulation could
+#: overflow outside the bounds.
 BOUNDS = {
     "wire_diameter_m": (1e-6, 0.02),
     "coil_diameter_m": (4e-6, 0.05),
@@ -65,27 +65,29 @@ class SmaSpring:
             temperatures form no hysteresis loop.
     """
 
-    wire_diameter_m: float = 0.15e-3  #: as in the BMX150 micro coil
-    coil_diameter_m: float = 0.47e-3  #: mean diameter of the coil
+    wire_diameter_m: float = 0.15e-3  #: wire diameter, m, as in the BMX150 micro coil
+    coil_diameter_m: float = 0.47e-3  #: mean diameter of the coil, m
     turns: float = 100.0  #: number of turns of the coil
-    density_kg_m3: float = 6450.0  #: density of the wire (Dynalloy F1140 sheet)
-    specific_heat_j_kg_k: float = 500.0  #: fitted to the heating times of the sheet; plausible 450-837
-    latent_heat_j_kg: float = 24_200.0  #: heat of transformation (Dynalloy F1140 sheet)
-    resistivity_ohm_m: float = 0.98e-6  #: 55 ohm/m at 0.15 mm (Dynalloy F1140 sheet)
-    convection_w_m2_k: float = 110.0  #: heat transfer: free convection (Churchill-Chu) and radiation
+    density_kg_m3: float = 6450.0  #: density of the wire, kg/m3 (Dynalloy F1140 sheet)
+    #: specific heat, J/(kg K), fitted to the heating times of the sheet; plausible 450-837
+    specific_heat_j_kg_k: float = 500.0
+    latent_heat_j_kg: float = 24_200.0  #: heat of transformation, J/kg (Dynalloy F1140 sheet)
+    resistivity_ohm_m: float = 0.98e-6  #: resistivity, ohm m; 55 ohm/m at 0.15 mm (Dynalloy F1140 sheet)
+    #: heat transfer coefficient, W/(m2 K): free convection (Churchill-Chu) and radiation
+    convection_w_m2_k: float = 110.0
     coil_shielding: float = 0.7  #: convection relative to a straight wire; estimate, 0.5-1
-    austenite_start_c: float = 68.0  #: start of heating transformation, As, under load
-    austenite_finish_c: float = 78.0  #: end of heating transformation, Af
-    martensite_start_c: float = 66.0  #: start of cooling transformation, Ms; estimate
-    martensite_finish_c: float = 56.0  #: end of cooling transformation, Mf; estimate
-    ambient_c: float = 25.0  #: air temperature
-    austenite_stiffness_n_m: float = 35.0  #: secant stiffness when hot: 0.70 N at 36 mm
-    martensite_stiffness_n_m: float = 14.5  #: when cold; from the ratio of Young's moduli
-    austenite_rest_length_m: float = 0.016  #: when hot: turns times wire diameter, rounded up
-    martensite_rest_length_m: float = 0.0222  #: when cold: 0.20 N at 36 mm, the plateau
-    force_limit_n: float = 0.85  #: largest force: 300 MPa of shear stress in the wire
-    drive_current_a: float = 0.35  #: while on; reaches 90 % austenite in about 1 s
-    cut_off_c: float = 120.0  #: over-temperature limit of the driver
+    austenite_start_c: float = 68.0  #: austenite start temperature As, degC, under load
+    austenite_finish_c: float = 78.0  #: austenite finish temperature Af, degC
+    martensite_start_c: float = 66.0  #: martensite start temperature Ms, degC; estimate
+    martensite_finish_c: float = 56.0  #: martensite finish temperature Mf, degC; estimate
+    ambient_c: float = 25.0  #: air temperature, degC
+    austenite_stiffness_n_m: float = 35.0  #: secant stiffness when hot, N/m: 0.70 N at 36 mm
+    martensite_stiffness_n_m: float = 14.5  #: stiffness when cold, N/m; from the ratio of Young's moduli
+    austenite_rest_length_m: float = 0.016  #: hot rest length, m: turns times wire diameter, rounded up
+    martensite_rest_length_m: float = 0.0222  #: cold rest length, m: 0.20 N at 36 mm, the plateau
+    force_limit_n: float = 0.85  #: largest force, N: 300 MPa of shear stress in the wire
+    drive_current_a: float = 0.35  #: drive current while on, A; reaches 90 % austenite in about 1 s
+    cut_off_c: float = 120.0  #: over-temperature limit of the driver, degC
 
     def __post_init__(self) -> None:
         check_fields(self, BOUNDS)
@@ -136,7 +138,7 @@ class SmaSpring:
 
     @cached_property
     def branches(self) -> tuple[Array, Array, Array]:
-        """Enthalpies in J/kg, ascending, and the fractions on heating and on cooling there."""
+        """Ascending enthalpies, J/kg, and the fractions on heating and on cooling at each of them."""
         heat_c = np.linspace(self.austenite_start_c, self.austenite_finish_c, NODES)
         cool_c = np.linspace(self.martensite_finish_c, self.martensite_start_c, NODES)
         heat_xi, cool_xi = heating_branch(self, heat_c), cooling_branch(self, cool_c)
@@ -184,7 +186,7 @@ class SmaState(NamedTuple):
         return cls(spring.specific_heat_j_kg_k * temperature_c + spring.latent_heat_j_kg * xi, xi)
 
     def rows(self, rows: Any) -> SmaState:
-        """Return the state of some springs, or at some steps, selected as by indexing arrays."""
+        """Return the state of some springs or at some steps; `rows` indexes the arrays."""
         return SmaState(self.enthalpy_j_kg[rows], self.fraction[rows])
 
     def temperature_c(self, spring: SmaSpring) -> Array:
@@ -278,7 +280,7 @@ def _integrate(
     for i in range(power.shape[1]):
         enthalpy, fraction = state[0, i], state[1, i]
         hot = max(enthalpy, cut_off)
-        supply = gain if enthalpy <= cut_off else 0.0  # springs that start above get no power
+        supply = gain if enthalpy <= cut_off else 0.0  # springs that start above the cut-off get none
         for k in range(power.shape[0]):
             unpowered = enthalpy * kept + fraction * released
             enthalpy = min(unpowered + (power[k, i] * supply + inflow[i]), hot)
@@ -300,7 +302,7 @@ def _integrate(
 def settle(spring: SmaSpring, power: Array, step_s: float) -> SmaSteps:
     """Repeat a period until the temperatures repeat, and return its last repetition.
 
-    For the arguments, see `advance`; `power` is that of one period.
+    For the arguments, see `advance`; `power` covers one period.
     """
     state = SmaState.cold(spring, power.shape[1:])
     for _ in range(_PERIODS):

@@ -54,9 +54,9 @@ _NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # looking up enum m
 
 
 class FailureLimits(NamedTuple):
-    """Limits beyond which robots fail, checked every control interval for means over the body.
+    """Limits beyond which robots fail, checked after every control interval.
 
-    The paper names the failures but gives no limits; these are ours. `up` is the vertical component
+    The paper names the failures but gives no limits; we chose them. `up` is the vertical component
     of the mean upward axis of the elements (1 upright, 0 on its side, -1 on its back). `heading` is the
     direction of their mean forward axis.
     """
@@ -64,8 +64,8 @@ class FailureLimits(NamedTuple):
     flipped_up: float = -0.5  #: FLIPPED if `up` is lower (tilted by more than 120 degrees)
     tipped_up: float = 0.5  #: TIPPED if `up` is lower (tilted by more than 60 degrees)
     jumped_clearance_m: float = 0.005  #: JUMPED if the lowest point is higher
-    veered_heading_rad: float = np.pi / 4  #: VEERED if the heading is off by more
-    veered_lateral_m: float = 0.12  #: VEERED if the centre of mass is off by more (a body length)
+    veered_heading_rad: float = np.pi / 4  #: VEERED if the heading error is larger
+    veered_lateral_m: float = 0.12  #: VEERED if the lateral displacement is larger (a body length)
     sagged_share: float = 0.05  #: SAGGED if the mean share of the load on the body is higher
 
 
@@ -127,11 +127,11 @@ class Progress(NamedTuple):
     """Progress of R robots since reset."""
 
     time_s: Array  #: simulated time, (R,)
-    distance_m: Array  #: of the centre of mass along the goal heading; negative is backwards, (R,)
+    distance_m: Array  #: progress of the centre of mass along the goal heading; negative backwards, (R,)
     lateral_m: Array  #: displacement to the left of the goal heading, (R,)
     heading_rad: Array  #: heading relative to the goal, counter-clockwise, in (-pi, pi], (R,)
     energy_j: Array  #: electrical energy used, (R,)
-    body_load: Array  #: integral of the load on the body / max(time, `EPISODE_S`), (R,)
+    body_load: Array  #: integral of the body's share of the load / max(time, `EPISODE_S`), (R,)
     failure: NDArray[np.int8]  #: values of `Failure`, (R,)
 
 
@@ -143,7 +143,7 @@ class CrawlState(NamedTuple):
     start_m: Array  #: horizontal position at reset, (R, 2)
     direction: Array  #: cosine and sine of the goal heading, (R, 2)
     measured: Array  #: the first six fields of `Progress`, (R, 6)
-    borne_s: Array  #: load share of the body integrated over time, (R,)
+    borne_s: Array  #: integral of the body's share of the load over time, (R,)
 
     def rows(self, index: Rows) -> CrawlState:
         """Return the states of some of the robots."""
@@ -162,7 +162,7 @@ class CrawlState(NamedTuple):
 
 
 class Crawl:
-    """Simulate crawling robots, each until it fails. New robots are at the start.
+    """Simulate crawling robots, each until it fails. They begin in the initial state.
 
     Args:
         bodies: bodies of B robots.
@@ -193,7 +193,7 @@ class Crawl:
         self._start_m = np.zeros((len(bodies), 2))
         self._direction = np.zeros((len(bodies), 2))  # cosine and sine of the goal heading
         self._measured = np.zeros((len(bodies), 6))  # the first six fields of `Progress`
-        self._borne_s = np.zeros(len(bodies))  # load share of the body integrated over time
+        self._borne_s = np.zeros(len(bodies))  # integral of the body's share of the load over time
         self._start(self.simulation.rows(), 0.0)
 
     def reset(
@@ -213,7 +213,7 @@ class Crawl:
             rows: indices of the robots to reset, (R,); all by default.
             conditions: conditions of each of these robots; None means those of `physics`.
             heading_rad: direction that the robots face, counter-clockwise from world x, rad.
-            goal_heading_rad: direction to crawl in, counter-clockwise from the one they face, rad.
+            goal_heading_rad: direction to crawl in, counter-clockwise from `heading_rad`, rad.
             offset: offset to add to the positions of the internal joints, m or rad, (R, J).
         """
         self.simulation.reset(bodies, rows, conditions=conditions)
@@ -235,7 +235,7 @@ class Crawl:
         return CrawlState(self.simulation.get_state(index), *fields)
 
     def set_state(self, state: CrawlState, rows: Rows | None = None) -> None:
-        """Set the state of robots, which must have the bodies and conditions of `get_state`.
+        """Set the state of robots. Their bodies and conditions must be those at `get_state`.
 
         Args:
             state: state of R robots.

@@ -36,7 +36,7 @@ from caterpillar_env.worlds import World
 class CaterpillarVectorEnv(
     WithSpec, VectorEnv[NDArray[np.float32], NDArray[Any], NDArray[Any]], EzPickle
 ):
-    """`num_envs` caterpillars stepped together; row i is a `CaterpillarEnv` reset with seed + i.
+    """`num_envs` robots stepped together; row i equals a `CaterpillarEnv` reset with seed + i.
 
     `reset` has the options `morphology`, see below, and `reset_mask`, a bool array of shape (num_envs,).
     In SAME_STEP mode, the last observation and info of an episode are in `final_obs` and `final_info`.
@@ -48,7 +48,7 @@ class CaterpillarVectorEnv(
             array of shape (num_envs, 8).
         max_episode_steps: maximum number of steps in an episode, in addition to the limit `episode_s`.
         threads: number of threads; 0 means all usable cores. The results do not depend on it.
-        autoreset_mode: when a robot whose episode has ended starts a new one, see Gymnasium.
+        autoreset_mode: when to reset a robot whose episode has ended, see Gymnasium.
         render_mode: None or "rgb_array" (one frame per robot).
 
     Attributes:
@@ -57,7 +57,7 @@ class CaterpillarVectorEnv(
         observation_names: name of every entry of an observation, in order.
         crawl: the simulated robots: `crawl.progress()`, `crawl.simulation.state()` and so on.
         on_interval: function to call with the `Trace` of every control interval, or None. A trace has
-            the rows that moved in this interval.
+            only the rows that moved in this interval.
 
     Raises:
         CaterpillarError: an argument has the wrong type or is out of range.
@@ -123,7 +123,7 @@ class CaterpillarVectorEnv(
             rows: indices of the robots, (R,); all by default.
 
         Raises:
-            CaterpillarError: `reset` was not called yet.
+            CaterpillarError: `reset` has not been called yet.
         """
         if not self._generators:
             raise CaterpillarError("call reset() before get_state()")
@@ -138,7 +138,7 @@ class CaterpillarVectorEnv(
             rows: indices of the robots to change, (R,); all by default.
 
         Raises:
-            CaterpillarError: the state is that of another number of robots or segments.
+            CaterpillarError: the state has another number of robots or segments.
         """
         index = self.crawl.simulation.rows(rows)
         self._episodes.set_state(state, index)
@@ -195,7 +195,7 @@ class CaterpillarVectorEnv(
             seeds = list(seed) if listed else []
         if len(seeds) != self.num_envs:
             raise CaterpillarError(
-                f"seed must be an integer or {self.num_envs} of them; got {show(seed)}"
+                f"seed must be an integer or a list of {self.num_envs} integers; got {show(seed)}"
             )
         seeds = [None if s is None else check_number("seed", s, 0, whole=True) for s in seeds]
         if not self._generators:
@@ -213,7 +213,7 @@ class CaterpillarVectorEnv(
         actions = self._episodes.check_actions(actions, self.num_envs)
         if self._mode is AutoresetMode.DISABLED and self._done.any():
             raise CaterpillarError(
-                f"rows {np.flatnonzero(self._done).tolist()} have ended: reset them with "
+                f"episodes of rows {np.flatnonzero(self._done).tolist()} have ended: reset them with "
                 'options={"reset_mask": ...} before stepping'
             )
         going = np.flatnonzero(~self._done)

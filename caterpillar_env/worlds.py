@@ -1,7 +1,7 @@
 """Worlds: the ground that robots crawl on. The default is flat.
 
-A world is part of `Physics`. Robots start with the head at the origin and crawl along x. A slope keeps
-its ground at z = 0 and tilts gravity instead, so that all positions and directions are relative to it.
+A world is part of `Physics`. Robots start with the head at the origin and crawl along x. On a slope,
+gravity is tilted and the ground stays at z = 0. All positions and directions are relative to the ground.
 Worlds with random features are drawn from a seed, and are the same on every machine.
 """
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError, check_fields, from_mapping, show
 
-#: Extent of steps and rough ground along x and y, m. The ground is level beyond.
+#: Extent of steps and rough ground along x and y, m. The ground beyond is level.
 EXTENT_X_M, EXTENT_Y_M = (-0.6, 1.2), (-0.3, 0.3)
 #: Extent of the tiles. Those at the edge reach to infinity.
 TILES_X_M, TILES_Y_M = (-0.2, 0.7), (-0.15, 0.15)
@@ -91,7 +91,7 @@ class World:
 
     @property
     def level(self) -> bool:
-        """Whether the whole ground is the plane z = 0 in its frame."""
+        """Whether the ground is the plane z = 0 everywhere in its frame."""
         return True
 
     def surface(self, x: Array, y: Array) -> tuple[Array, Array]:
@@ -110,7 +110,7 @@ class Flat(World):
 
 @dataclass(frozen=True)
 class Slope(World):
-    """An inclined plane that the robot climbs (up), descends (down) or traverses, uphill on its left."""
+    """An inclined plane. The robot crawls up, down, or across it with uphill on its left."""
 
     angle_deg: float = 10.0  #: inclination, 0 to 45 degrees
     direction: Literal["up", "down", "across"] = "up"  #: crawling direction on the slope
@@ -156,7 +156,7 @@ class Steps(World):
 
 
 class HeightField(NamedTuple):
-    """Heights on a rectangular grid; bilinear between its points."""
+    """Heights on a rectangular grid, interpolated bilinearly between its points."""
 
     heights_m: Array  #: (rows along y, columns along x)
     x_m: tuple[float, float]  #: first and last column
@@ -268,7 +268,7 @@ def _generator(stream: int, seed: int) -> np.random.Generator:
 
 @lru_cache(maxsize=16)
 def _height_field(world: Rough) -> HeightField:
-    """Compute heights with sums and products only, whose results are the same on every machine."""
+    """Compute heights with sums and products only, so that they are the same on every machine."""
     cell_m = min(world.wavelength_m / _CELLS, _LARGEST_CELL_M)
     (x_0, x_1), (y_0, y_1) = EXTENT_X_M, EXTENT_Y_M
     columns, rows = round((x_1 - x_0) / cell_m) + 1, round((y_1 - y_0) / cell_m) + 1

@@ -45,7 +45,7 @@ class RunConfig:
         CaterpillarError: a value is out of range.
     """
 
-    seed: int = 0  #: seed of the optimizer; --mismatch-seed is that of the springs
+    seed: int = 0  #: seed of the optimizer; --mismatch-seed is the seed of the springs
     generations: int = 50  #: number of generations
     budget_s: float | None = None  #: simulated seconds after which no new generation starts
     target_m: float | None = None  #: distance in m; stop once a robot reaches it without failing
@@ -55,7 +55,7 @@ class RunConfig:
     prior: Prior = "body"  #: genes with a distribution from the preprocessor; body: as in the paper
     prior_use: PriorUse = "both"  #: uses of the prior in the GA: first generation (init), mutation
     prior_control: Control = "none"  #: misleading prior. mirrored: peaks reflected; shuffled: permuted
-    prior_without: Without = "none"  #: K_i to leave out of the prior
+    prior_without: Without = "none"  #: design parameter (K_i) to leave out of the prior
     #: Prior of a gene on which two design parameters disagree. product: the peak of their product.
     contradictions: Contradictions = "uniform"
     floor_ratio: float = 3.0  #: ratio of the maximum to the minimum density of a preprocessed gene
@@ -87,8 +87,8 @@ class RunConfig:
             raise CaterpillarError(f"race_share = {self.race_share} must lie in (0, 1]")
         if self.race_share < 1 and not 0 < self.race_periods * self.gait_period_s < EPISODE_S:
             raise CaterpillarError(
-                f"race_periods = {self.race_periods} of {self.gait_period_s:g} s must end before an "
-                f"episode does, after {EPISODE_S:g} s"
+                f"race_periods = {self.race_periods} of {self.gait_period_s:g} s must end before the "
+                f"episode ends at {EPISODE_S:g} s"
             )
         # These check the genome, the gait period and the K_i.
         _ = design_parameters(self.encoding, self.prior, self.prior_without)

@@ -60,7 +60,7 @@ class Gene(NamedTuple):
     lower: float
     upper: float
     parameter: str  #: name without the segment or gap, for design parameters
-    circular: bool = False  #: whether both bounds mean the same
+    circular: bool = False  #: whether the gene wraps around from 1 to 0
 
     @property
     def title(self) -> str:
@@ -78,8 +78,8 @@ class Encoding:
     """Maps genomes to robots, each a body with a gait. All have the same physics.
 
     Raises:
-        CaterpillarError: the kind or the timing is unknown, they do not go together (`full` and
-            `wave`), or the period is not a multiple of the control interval.
+        CaterpillarError: the kind or the timing is unknown, the two cannot be combined (`full`
+            and `wave`), or the period is not a multiple of the control interval.
     """
 
     physics: Physics = field(default_factory=Physics)
@@ -92,7 +92,7 @@ class Encoding:
         check_choice("timing", self.timing, Timing)
         if self.kind == "full" and self.timing == "wave":
             raise CaterpillarError(
-                "timing = 'wave' has the same genes for all springs, but genome = 'full' has genes of "
+                "timing = 'wave' has the same genes for all springs, but genome = 'full' has genes for "
                 "every spring; choose timing = 'phase' or genome = 'shared'"
             )
         count_steps(self.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
@@ -184,7 +184,7 @@ class Encoding:
                 genes[:, 0::2], MAX_DUTY * genes[:, 1::2], period_s, springs=self.kind == "full"
             )
             action = timings.to_action()
-        # From an action, so that the environment reproduces the gait bit for bit.
+        # Built from an action, so that the environment reproduces the gait bit for bit.
         return GaitTimings.from_action(action, period_s)
 
     def _repeat_wave(self, genes: Array) -> Array:
@@ -208,7 +208,7 @@ class Encoding:
         return values
 
     def robot(self, genome: Array, **record: Any) -> Robot:
-        """Return the robot of a genome (n,). The keywords are its recorded results, see `Robot`."""
+        """Return the robot of a genome (n,). The keywords are the robot's results, see `Robot`."""
         (body,), timings = self.decode(np.asarray(genome)[None])
         return Robot(body, timings[0], self.physics, **record)
 

@@ -48,7 +48,7 @@ for before, after in itertools.pairwise(fraction):
         data.ctrl = before + (after - before) * (substep + 0.5) / substeps
         mujoco.mj_step(model, data)
 
-# mj_step computes the centre of mass at the start of the step. Recorded distances do the same.
+# mj_step computes the centre of mass at the start of the step. Recorded distances also refer to it.
 # Evolution stops a robot that fails; this loop does not.
 distance_m = data.subtree_com[1, 0] - start_m
 print(f"{data.time:.0f} s  {1000 * distance_m:.3f} mm; recorded {1000 * (robot.fitness_m or 0):.3f} mm")

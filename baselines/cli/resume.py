@@ -19,7 +19,7 @@ from evolution.cli.running import ThreadArgs
 
 @dataclass(frozen=True)
 class ResumeArgs(ThreadArgs):
-    """Continue a training run from its last evaluation, with the result of one that was not stopped."""
+    """Continue a training run from its last evaluation, as if it had not been stopped."""
 
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of the training run."""

@@ -36,7 +36,7 @@ class TrainArgs(ThreadArgs):
         super().__post_init__()
         if self.body is not None and self.config.morphology != Morphology():
             raise CaterpillarError(
-                "--body sets the whole body; do not combine it with single body parameters"
+                "--body sets all parameters of the body; do not combine it with single parameters"
             )
 
 

@@ -23,7 +23,7 @@ class Readout(NamedTuple):
     """Numbers and text written on a frame."""
 
     time_s: float  #: simulated time
-    distance_m: float  #: of the centre of mass, along the initial heading
+    distance_m: float  #: displacement of the centre of mass along the initial heading
     energy_j: float  #: electrical energy
     failure: str = "ok"  #: name of the failure
     title: str = ""

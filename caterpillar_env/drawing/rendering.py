@@ -23,7 +23,7 @@ from caterpillar_env.morphology import Body, length_m, segments_of
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import Crawl
 
-#: Reason of an earlier rendering failure, or None. Retrying can crash the interpreter.
+#: Reason for an earlier rendering failure, or None. Retrying can crash the interpreter.
 unavailable: str | None = None
 
 _ADVICE = (
@@ -102,7 +102,7 @@ class RobotRenderer:
         self._world = physics.world
         self._ruler = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, RULER)  # -1 on uneven ground
         if self._ruler >= 0:
-            # Place its zero at the initial centre of mass, so that it shows the distance.
+            # Place the ruler's zero at the initial centre of mass, so that it shows the distance.
             model.geom_pos[self._ruler, 0] += self.centre_of_mass(model.qpos0)[0]
         self._canvas: mujoco.Renderer | None = None
 
@@ -151,8 +151,8 @@ class RobotRenderer:
         if unavailable is None and self._canvas is None:
             try:
                 if backend == "disabled":
-                    raise OSError("MUJOCO_GL disables it")
-                # MuJoCo selects the context class at import. Replace it by that of the chosen backend.
+                    raise OSError("MUJOCO_GL disables rendering")
+                # MuJoCo selects the context class at import. Replace it by the class of the backend.
                 if backend in ("egl", "osmesa"):
                     gl_context.GLContext = import_module(f"mujoco.{backend}").GLContext
                 with warnings.catch_warnings():

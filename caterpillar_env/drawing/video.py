@@ -92,9 +92,9 @@ class Recording:
         qpos = np.concatenate([t.qpos[0] for t in traces])
         # Cut the trace at the first pose of a diverging robot that cannot be drawn.
         shown = max(1, int(np.cumprod((np.abs(qpos) < _USABLE_M).all(axis=1)).sum()))
-        self.qpos = qpos[:shown]  #: after each thermal step, (steps, nq)
+        self.qpos = qpos[:shown]  #: positions after each thermal step, (steps, nq)
         self.temperature_c = np.concatenate([t.temperature_c[0] for t in traces])[:shown]
-        self.energy_j = np.concatenate([t.energy_j[0] for t in traces])[:shown]  #: since the start
+        self.energy_j = np.concatenate([t.energy_j[0] for t in traces])[:shown]  #: used so far, J
         self.body_length_m = length_m(segments_of(robot.morphology, robot.physics.num_segments))
 
     @property
@@ -205,7 +205,7 @@ def check_path(path: Path) -> None:
     """Check that a video can be written to `path`.
 
     Raises:
-        CaterpillarError: the suffix is not one of these, or the folder is missing or not writable.
+        CaterpillarError: the file type is unknown, or the folder is missing or not writable.
     """
     if path.suffix not in _ENCODING:
         raise CaterpillarError(f"a video must be an .mp4, a .gif or a .webp file; got {path}")

@@ -145,7 +145,7 @@ def plot(result: Comparison, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-#: Settings to compare. Each is compared with a reference of the same physical parameters.
+#: Settings to compare. Each is compared with a reference with the same physical parameters.
 SETTINGS: dict[str, dict[str, Any]] = {
     "default": {},
     "timestep 10 ms": {"timestep_s": 0.01},
@@ -175,7 +175,7 @@ def compare_settings(count: int = 16, duration_s: float = EPISODE_S) -> list[dic
 
     Returns:
         One row per setting: cost in microseconds per simulated millisecond and robot on one thread.
-        Median relative error, rank correlation and failure agreement refer to a timestep of 0.5 ms.
+        The other columns compare the robots with a reference at a timestep of 0.5 ms.
     """
     robots = stack(evolved_robots(count))
     references: dict[str, Outcomes] = {}

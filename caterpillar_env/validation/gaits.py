@@ -23,9 +23,9 @@ from caterpillar_env.validation.check import Check, check_at_most
 class Gait(NamedTuple):
     """Gait metrics of one robot in an episode."""
 
-    distance_m: float  #: along the initial heading
+    distance_m: float  #: distance along the initial heading
     best_tenth: float  #: share of the distance covered in the best tenth of the gait period
-    peak_speed_m_s: float  #: of the centre of mass, averaged over 10 ms
+    peak_speed_m_s: float  #: largest speed of the centre of mass, averaged over 10 ms
     slip: float  #: load-weighted sliding distance of the feet, relative to the distance
     body_load: float  #: share of the ground load carried by the body instead of the feet
     overrun: float  #: largest excess of a joint over its limit, relative to the limit
@@ -52,7 +52,7 @@ def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
     if not np.array_equal(qpos, crawl.simulation.qpos(0)):
         raise AssertionError("the plain loop does not reproduce the simulation; please report this")
 
-    steps = np.diff(com_m[:: round(SMA_STEP_S / physics.timestep_s)], axis=0)  # of each thermal step
+    steps = np.diff(com_m[:: round(SMA_STEP_S / physics.timestep_s)], axis=0)  # per thermal step
     distance_m = float(end.distance_m[0])
     folded = steps[:, 0].reshape(periods, -1).sum(axis=0)
     window = len(folded) // 10
@@ -110,7 +110,7 @@ def _replay(
 
 
 def check_gaits(gaits: Sequence[Gait]) -> list[Check]:
-    """Check that joints stay close to their limits, and that the feet carry the robot."""
+    """Check that joints hardly exceed their limits, and that the feet carry the robot."""
     overruns, loads = [g.overrun for g in gaits], [g.body_load for g in gaits]
     name = "largest relative excess of a joint over its limit"
     return [

@@ -49,8 +49,8 @@ def compare_timesteps(world: World, *, quick: bool) -> tuple[Pair, Pair]:
     """Simulate robots in a world with the default and a fine timestep, and from a start moved by 1 um.
 
     Returns:
-        The default against the fine timestep, and the moved start against the usual one, both at the
-        fine timestep. The second pair is the intrinsic spread.
+        A pair with the default and the fine timestep, and a pair with the moved and the usual start at
+        the fine timestep. The second pair shows the intrinsic spread.
     """
     physics = Physics(world=world)
     fine = replace(physics, timestep_s=0.001 if quick else 0.0005)

@@ -27,20 +27,21 @@ class RecordVideo(wrappers.RecordVideo[Any, Any]):
     """Gymnasium's `RecordVideo` with a frame for every control interval of 0.1 s.
 
     Gymnasium's own wrapper keeps one frame per step, and a step of `CaterpillarSMA-v0` takes 5 s. Frames
-    are drawn only while a video is recorded, and `render` returns what it returns without this wrapper.
+    are drawn only while a video is recorded. The wrapper does not change the results of `render`.
     Like Gymnasium's wrapper, it needs moviepy.
 
     Args:
         env: a `CaterpillarEnv`, perhaps wrapped, with the render mode "rgb_array" or "rgb_array_list".
         video_folder: folder of the videos.
-        episode_trigger: function from the number of an episode to whether to record it.
-        step_trigger: function from the number of a step to whether to start a video after it.
+        episode_trigger: function that takes an episode number and returns whether to record the episode.
+        step_trigger: function that takes a step number and returns whether to start a video after it.
         video_length: number of frames after which a video ends, at the end of a step; 0 for whole
             episodes.
         name_prefix: start of the file names.
         fps: frames per second of video. The default, 10, plays at real speed, and 20 twice as fast.
         disable_logger: has no effect, because no progress is shown.
-        gc_trigger: function from the number of an episode to whether to collect garbage after its video.
+        gc_trigger: function that takes an episode number and returns whether to collect garbage after
+            its video.
 
     Raises:
         CaterpillarError: `env` is another environment.
@@ -91,7 +92,7 @@ class RecordVideo(wrappers.RecordVideo[Any, Any]):
         drawn, self._drawn = self._drawn and bool(self.recorded_frames), False
         if drawn and self._source is self.env:
             return
-        if drawn:  # the collection of frames holds the same one
+        if drawn:  # the frame collection already holds this frame
             self.recorded_frames.pop()
         super()._capture_frame()  # type: ignore[no-untyped-call]
 
@@ -119,8 +120,8 @@ def check_kind(env: Any, kind: type) -> None:
     """Raise a `CaterpillarError` if `env` is not of this kind."""
     if not isinstance(env, kind):
         raise CaterpillarError(
-            f"expected a {kind.__name__} to record; got {type(env).__name__}. For others, use the "
-            "RecordVideo of gymnasium.wrappers or of gymnasium.wrappers.vector"
+            f"expected a {kind.__name__} to record; got {type(env).__name__}. For other "
+            "environments, use the RecordVideo of gymnasium.wrappers or of gymnasium.wrappers.vector"
         )
 
 

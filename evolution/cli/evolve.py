@@ -33,7 +33,7 @@ class EvolveArgs:
     """Evolve body and gait. The defaults are those of the paper: 200 genomes, 50 generations."""
 
     preset: Literal["paper", "quick"] = "paper"
-    """Defaults of the other options. quick: SHADE with waves, priors and racing, for a minute."""
+    """Defaults of the other options. quick: one minute of SHADE with waves, priors and racing."""
     out: Path | None = None
     """Run folder to create; by default, a new folder under runs/."""
     workers: WorkerArgs = field(default_factory=WorkerArgs)

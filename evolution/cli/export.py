@@ -32,7 +32,7 @@ class ExportArgs:
     source: Annotated[Path, tyro.conf.Positional]
     """Run folder. For mjcf, it can also be the JSON file of a robot (best.json)."""
     to: Format | None = None
-    """Format; by default, the format that the suffix of --out names, or csv."""
+    """Format; by default, from the suffix of --out, or csv."""
     out: Path | None = None
     """File to write; by default, evaluations.csv, .parquet or .json, or best.xml, in the run folder."""
 
@@ -50,7 +50,7 @@ def export_command(argv: Sequence[str]) -> int:
     else:
         table = History.read(args.source).table()
         out = args.out or args.source / f"evaluations.{kind}"
-        content = io.BytesIO()  # because polars ignores or disguises that a disk is full
+        content = io.BytesIO()  # because polars ignores or hides the error of a full disk
         getattr(table, f"write_{kind}")(content)
         data = content.getvalue()
         written = f"{len(table)} evaluations"

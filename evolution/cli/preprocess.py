@@ -30,8 +30,8 @@ class PreprocessArgs:
     json: bool = False
     """Print JSON instead of tables, with values in SI units."""
     out: Path = Path("preprocess.png")
-    """File for the plot of the densities: .png, .svg or .pdf. With a prior of the gait, NAME-gait is
-    written beside it."""
+    """File for the plot of the densities: .png, .svg or .pdf. With a gait prior, a second plot,
+    NAME-gait, is written beside it."""
     genome: GenomeKind = "shared"
     """Kind of genome. full: separate times for every spring; per-segment: a body for every segment."""
     timing: Timing = "on-off"
@@ -79,7 +79,7 @@ def preprocess_command(argv: Sequence[str]) -> int:
         drawings[args.out.with_stem(f"{args.out.stem}-gait")] = figures.gait_search(found)
     for path, figure in drawings.items():
         figures.save(figure, path, ELSEWHERE)
-    print(f"plotted in {' and '.join(map(str, drawings))}", file=sys.stderr)
+    print(f"plots written to {' and '.join(map(str, drawings))}", file=sys.stderr)
     return 0
 
 

@@ -98,7 +98,7 @@ def _load_robots(args: ReplayArgs) -> list[tuple[str, Robot]]:
 
 
 def _title(path: Path) -> str:
-    """Return the name of a run folder, also for its best.json, or the stem of any other file."""
+    """Return the name of the run folder for a folder or its best.json, else the stem of the file."""
     if path.is_dir():
         return name_of(path)
     return name_of(path.resolve().parent) if path.name == "best.json" else name_of(path.with_suffix(""))

@@ -91,7 +91,7 @@ def write_report(folder: Path, *, all_winners: bool = False) -> None:
     for row in retest.comparisons:
         print(
             f"{row.arm}, {row.condition}: {row.failed} of {row.robots} winners fail; the others crawl "
-            f"{100 * row.median_share:.0f} % of their distance (median; {100 * row.smallest_share:.0f} "
-            f"to {100 * row.largest_share:.0f} %)"
+            f"{100 * row.median_share:.0f} % of their recorded distance (median; "
+            f"{100 * row.smallest_share:.0f} to {100 * row.largest_share:.0f} %)"
         )
     print(f"written: {page}", file=sys.stderr)

@@ -43,7 +43,7 @@ class WorkerArgs(ThreadArgs):
     evaluator: Literal["local", "ray"] = "local"
     """local: threads of this machine; ray: a Ray cluster."""
     ray_address: str | None = None
-    """Address of a running Ray cluster; by default $RAY_ADDRESS, or a local one is started."""
+    """Address of a running Ray cluster; by default $RAY_ADDRESS, or a new local cluster."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -31,13 +31,13 @@ class StudyArgs:
     preset: Preset | None = None
     """Use a study of this package instead of a file."""
     out: Path | None = None
-    """Study folder to create or continue; by default, studies/NAME for a file or preset of that name."""
+    """Study folder to create or continue; by default, studies/NAME, named after the file or preset."""
     processes: int = 0
     """Number of simultaneous runs, one thread each; 0 uses all cores."""
     evaluator: Literal["local", "ray"] = "local"
     """local: processes of this machine; ray: a Ray cluster whose machines share the study folder."""
     ray_address: str | None = None
-    """Address of a running Ray cluster; by default $RAY_ADDRESS, or a local one is started."""
+    """Address of a running Ray cluster; by default $RAY_ADDRESS, or a new local cluster."""
 
     def __post_init__(self) -> None:
         if (self.file is None) == (self.preset is None):

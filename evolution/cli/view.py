@@ -29,7 +29,7 @@ class ViewArgs:
     """Sliders of the gait. on-off: on and off times; phase: delays and duties. By default, as in the
     run; on-off for a JSON file."""
     port: int = 8080
-    """Port of 127.0.0.1 for the page, or the next one that is free; 0 means any free port."""
+    """Port of 127.0.0.1 for the page; if it is in use, the next free port. 0 means any free port."""
     open: bool = False
     """Open the page in the browser."""
 
@@ -50,7 +50,7 @@ def view_command(argv: Sequence[str]) -> int:
     from evolution.viewer.server import Viewer
 
     with Viewer(robot, args.port, timing) as viewer:
-        print(f"{viewer.url} shows {args.source or 'the nominal robot'}; Ctrl-C ends it", flush=True)
+        print(f"{viewer.url} shows {args.source or 'the nominal robot'}; stop with Ctrl-C", flush=True)
         if args.open and not webbrowser.open(viewer.url):
             print(f"no browser was found; open {viewer.url} yourself", file=sys.stderr)
         threading.Event().wait()

@@ -45,8 +45,8 @@ class RandomSearch(GenerationalOptimizer):
         if self._sobol is None:
             shares = self._rng.random((self._population, len(self._distributions)))
         else:
-            # One point at a time, because SciPy warns about numbers that are not powers of two. Those
-            # matter for integration only.
+            # Draw one point at a time, because SciPy warns if the number of points is not a power of
+            # two. This matters for integration only.
             shares = np.concatenate([self._sobol.random(1) for _ in range(self._population)])
         columns = [d.quantile(shares[:, i]) for i, d in enumerate(self._distributions)]
         return np.stack(columns, axis=1)

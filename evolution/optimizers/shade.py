@@ -40,19 +40,18 @@ class Shade(GenerationalOptimizer):
 
     Each genome x of the population proposes a trial. The trial mixes x with the mutant
     x + F (target - x) + F (a - b), where the target is one of the best genomes, a is another genome, and
-    b is another or a former one. The trial replaces x if it is at least as good. The scale F and the
-    crossover rate follow the values that led to better genomes.
+    b is a third genome or one that was replaced. The trial replaces x if it is at least as good. The
+    scale F and the crossover rate follow the values that led to better genomes.
 
-    With several candidates, each genome is drawn several times, and `predict` chooses which of them is
-    proposed.
+    With several candidates, each genome is drawn several times, and `predict` chooses one of the draws.
 
     Args:
         distributions: distribution of each gene, for the first population.
         config: settings of SHADE.
         rng: the only source of randomness.
         circular: whether each gene is circular; by default, none is.
-        predict: returns a score (P,) of genomes (P, n), to choose among candidates. Higher is better,
-            and a score that is not finite is the worst.
+        predict: function that returns scores (P,) of genomes (P, n), to choose among candidates. Higher
+            is better; a score that is not finite counts as the worst.
 
     Raises:
         CaterpillarError: there are several candidates and no `predict`.
@@ -143,7 +142,7 @@ class Shade(GenerationalOptimizer):
         return np.stack([np.clip(drawn, 1e-3, 1.0), np.clip(self._rng.normal(rates, 0.1), 1e-3, 1.0)])
 
     def _draw_differences(self) -> tuple[Array, Array]:
-        """Return the difference to a target, and that between two other genomes, (N, n) each."""
+        """Return the differences to a target and between two other genomes, (N, n) each."""
         n, x, number = self._size, self._genomes, np.arange(self._size)
         order = np.argsort(-self._fitness, kind="stable")
         shares = self._rng.uniform(min(2 / n, _GREEDIEST), _GREEDIEST, n)

@@ -29,7 +29,7 @@ from evolution.priors.preprocessor import (
 
 Prior = Literal["uniform", "body", "gait", "body+gait"]
 Control = Literal["none", "mirrored", "shuffled"]
-#: A K_i to leave out of a prior, by its name.
+#: Name of a K_i to leave out of a prior.
 Without = Literal["none", "roll stability", "yaw stability", "lifting moment", "stroke", "advance"]
 
 _SHUFFLE = 0x5F  # separates the random numbers of the shuffle from those of the optimizer
@@ -56,7 +56,7 @@ def design_parameters(
 
 
 def _make_wave(encoding: Encoding) -> Encoding:
-    """Return the encoding with the genes that the K_i take: those of one body and one wave."""
+    """Return the encoding of one body and one wave, whose genes are the arguments of the K_i."""
     return replace(encoding, kind="shared", timing="wave")
 
 
@@ -79,12 +79,12 @@ def make_priors(
     """Return the distribution of each gene. With the prior "body", this is the paper's Table I.
 
     The prior of the gait describes delays and duties. With on and off times, it describes the times of
-    the best wave that begins with the first dorsal pair. If there is none, because two K_i disagree, the
-    times stay uniform.
+    the best wave that begins with the first dorsal pair. If two K_i disagree, there is no best wave, and
+    the times stay uniform.
 
     Args:
         encoding: the genes, and the physics that the K_i depend on.
-        prior: the K_i to use: those of the body, of the gait, of both, or none.
+        prior: the K_i to use: body, gait, both or none.
         floor_ratio: maximum over minimum density of a Gaussian, before clamping.
         clipping: interpretation of the paper's "clipped Gaussian".
         contradictions: what to do with genes on which two K_i disagree.
@@ -114,7 +114,7 @@ def make_priors(
 
 
 def _time_priors(encoding: Encoding, known: dict[str, GenePrior]) -> dict[str, GenePrior]:
-    """Return priors of the on and off times, by gene, from those of lag, offset and duty."""
+    """Return priors of the on and off times, by gene, from the priors of lag, offset and duty."""
     shapes = [known[name].distribution for name in ("lag", "offset", "duty")]
     peaks = [d for d in shapes if isinstance(d, Gaussian)]
     if len(peaks) < len(shapes):

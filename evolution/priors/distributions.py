@@ -118,7 +118,7 @@ class ClippedGaussian(Gaussian):
 
 @dataclass(frozen=True)
 class WrappedGaussian(Gaussian):
-    """A Gaussian on a circle, for genes whose bounds mean the same. It is cut opposite to its peak."""
+    """A Gaussian on a circle, for circular genes. It is cut opposite to its peak."""
 
     @classmethod
     def with_floor(cls, mu: float, ratio: float = 3.0) -> WrappedGaussian:
@@ -135,7 +135,7 @@ class WrappedGaussian(Gaussian):
         return replace(self, mu=(self.mu + 0.5) % 1.0)
 
     def quantile(self, share: Array) -> Array:
-        """See `Distribution.quantile`. Shares count from the point opposite to the peak."""
+        """See `Distribution.quantile`. Share 0 is the point opposite to the peak."""
         return (ClippedGaussian(0.5, self.sigma).quantile(share) + self.mu - 0.5) % 1.0
 
     def density(self, x: Array) -> Array:

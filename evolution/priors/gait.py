@@ -29,7 +29,7 @@ _SEGMENTS = 4  #: number of segments of the robot in K_5
 def gait_parameters(physics: Physics, gait_period_s: float) -> tuple[DesignParameter, ...]:
     """Return K_4 and K_5.
 
-    K_5 is that of the nominal body with four segments and equal springs on flat ground, whatever the
+    K_5 describes the nominal body with four segments and equal springs on flat ground, whatever the
     robot and the world of the run.
     """
     chain = replace(
@@ -72,7 +72,7 @@ def advance(bodies: Sequence[Body], timings: GaitTimings, physics: Physics) -> A
     time = np.arange(INSTANTS + 1)[:, None, None] / INSTANTS
     steps = ((time - springs.on_s / period_s) % 1.0 * len(settled)).astype(int) % len(settled)
     fractions = settled[steps, which.reshape(springs.on_s.shape)]
-    # The planar model has one spring for the left and the right one.
+    # The planar model has one spring for each left-right pair.
     pairs = fractions.reshape(*fractions.shape[:2], PAIRS_PER_GAP * gaps, -1).mean(axis=3)
     chain = PlanarChain(bodies, physics)
     positions_m = chain.crawl(np.moveaxis(pairs, 1, 2), period_s / INSTANTS)

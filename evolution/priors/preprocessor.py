@@ -78,7 +78,7 @@ class GenePrior:
     reason: str
 
     def to_dict(self) -> dict[str, str | float | None]:
-        """Return plain data for JSON. mu and sigma are in the gene's unit, or None if it is uniform."""
+        """Return plain data for JSON. mu and sigma are in the gene's unit; None if uniform."""
         gene, d = self.gene, self.distribution
         span = gene.upper - gene.lower
         return {

@@ -1,8 +1,8 @@
 """A planar, quasi-static model of the crawling robot, for the key design parameter K_5.
 
 The robot is reduced to its sagittal plane: a chain of segments with a pitch hinge (neck) between
-neighbours. Each segment but the last has a prismatic joint; apart from it, segments are rigid. A left
-and a right spring act as one. At each instant the chain takes the shape of least energy,
+neighbours. Each segment but the last has a prismatic joint; segments are rigid otherwise. The left and
+the right spring of a pair act as one. At each instant the chain takes the shape of least energy,
 
     E = springs + necks + prismatic joints + gravity + compression of the feet
         + sum over feet of friction * load * |displacement since the last instant|,
@@ -33,15 +33,15 @@ FOOT_STIFFNESS_N_M = 400.0  #: a pair of feet carries about 0.08 N
 NECK_STOP_N_M_RAD = 3.0  #: stiffness of a neck beyond its limit
 AXIAL_STOP_N_M = 2e4  #: stiffness of a prismatic joint beyond its travel
 ITERATIONS = 3  #: Newton iterations in an instant
-FIRST_ITERATIONS = 40  #: in the first instant, which starts from a straight chain
+FIRST_ITERATIONS = 40  #: Newton iterations in the first instant, from a straight chain
 
 
 class _Vectors(NamedTuple):
     """Coefficients of V vectors: sum over segments j of (along - slide s_j) e_j + above n_j.
 
     e_j points forward along segment j, n_j upward from it, and s_j is the extension of its prismatic
-    joint. All arrays have the shape (V, N, bodies). The vectors are the feet, the sum over all elements
-    of weight times centre, and the springs from end to end.
+    joint. All arrays have the shape (V, N, bodies). The vectors are the positions of the feet, the sum
+    of weight times centre over all elements, and the springs from end to end.
     """
 
     along_m: Array
@@ -88,7 +88,7 @@ class PlanarChain:
         pull = [[pretension(a, b, physics.spring) for a, b in body] for body in gaps]
         # At rest, the pre-tension of the cold springs compresses a segment to its length.
         self._stretch_m = np.array(pull).T / physics.axial_stiffness_n_m
-        # Newton's method limits each step to these changes, and adds this to the Hessian's diagonal.
+        # Largest changes in a Newton step, and the values added to the Hessian's diagonal.
         pitches, slides = self._feet, self._feet - 1
         self._largest = np.array([0.01, 0.005] + pitches * [0.15] + slides * [0.002])[:, None]
         self._regularization = np.diag([1e-2, 1e-2] + pitches * [1e-3] + slides * [1e-2])
@@ -253,7 +253,7 @@ def _list_vectors(segments: Sequence[Morphology]) -> Array:
 def _point(
     segments: Sequence[Morphology], index: int, along_m: float, above_m: float, slide: float = 0.0
 ) -> Array:
-    """Return the coefficients, (3, N), of a point from the centre of the head's legged element."""
+    """Return the coefficients, (3, N), of a point, from the centre of the head's legged element."""
     point = np.zeros((3, len(segments)))
     for ahead in range(index):  # to the neck, and from there to the next legged element
         m, behind = segments[ahead], segments[ahead + 1]
@@ -266,6 +266,6 @@ def _point(
 
 
 def _load_n(height_m: Array) -> Array:
-    """Return the load on feet at a height above the ground, which compresses them if it is negative."""
+    """Return the load on feet at a height above the ground; a negative height compresses them."""
     load: Array = FOOT_STIFFNESS_N_M * np.maximum(-height_m, 0.0)
     return load

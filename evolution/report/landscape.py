@@ -44,7 +44,7 @@ def sweep(
         on_progress: called with the simulated share, in [0, 1].
 
     Raises:
-        CaterpillarError: the names are not those of two genes, or the run has no best robot.
+        CaterpillarError: the names are not two different gene names, or the run has no best robot.
     """
     if history.kind != "evolution" or history.best is None:
         raise CaterpillarError(f"{history.folder} has no robot that evolved and crawled forwards")
@@ -70,7 +70,7 @@ def sweep(
 
 
 def draw(landscape: Landscape) -> Figure:
-    """Plot a landscape beside that of a sphere function with its optimum at the same place."""
+    """Plot a landscape beside a sphere function with its optimum at the same place."""
     figure = Figure(figsize=(12.0, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     away = landscape.shares - landscape.best[:, None]

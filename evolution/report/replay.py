@@ -20,9 +20,9 @@ from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.worlds import World
 
 _STRIDE = 2  # thermal steps from one frame to the next
-_MAX_BYTES = 600_000  # of the arrays, before base64; robots of many segments get fewer frames
-_CELL_M = 0.005  # of uneven ground
-_COLOURS = 64  # of the springs, from ambient temperature to the cut-off
+_MAX_BYTES = 600_000  # size of the arrays before base64; robots of many segments get fewer frames
+_CELL_M = 0.005  # grid spacing of uneven ground
+_COLOURS = 64  # number of spring colours, from ambient temperature to the cut-off
 
 
 def encode(recording: Recording) -> dict[str, Any]:
@@ -65,8 +65,8 @@ def encode(recording: Recording) -> dict[str, Any]:
         "cut_off_c": spring.cut_off_c,
         "scale_m": scale_m,
         "poses": _base64(np.round(poses), "<i2"),  # position / scale_m and quaternion * 32767
-        "heat": _base64(heat, "u1"),  # index into the palette, of each spring
-        "touches": _base64(touches, "u1"),  # of each foot and shell, in the order of the shapes
+        "heat": _base64(heat, "u1"),  # index into the palette, for each spring
+        "touches": _base64(touches, "u1"),  # for each foot and shell, in the order of the shapes
         "track": _base64(np.column_stack([centres_m[:, :2], recording.energy_j[frames]]), "<f4"),
     }
 
@@ -124,7 +124,7 @@ def _shape(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
 
 
 def _point(model: mujoco.MjModel, site: int) -> list[float]:
-    """Return the element of a site, and its position there."""
+    """Return the element of a site, and the site's position in the element."""
     return [int(model.site_bodyid[site]) - 1, *_round(model.site_pos[site])]
 
 

@@ -36,7 +36,7 @@ class GeneRow(NamedTuple):
     value: float
     lower: float
     upper: float
-    peak: float | None  #: of the prior; None if the prior is uniform
+    peak: float | None  #: peak of the prior; None if the prior is uniform
     width: float | None  #: standard deviation of the prior; None if the prior is uniform
 
     def percent(self, value: float) -> float:
@@ -169,7 +169,7 @@ def next_commands(history: History, folder: str) -> list[tuple[str, str]]:
         if not history.finished:
             commands.append((f"caterpillar resume {folder}", "continue the run"))
         elif history.stop_reason(more) is None:
-            commands.append((f"caterpillar resume {folder} --generations {more}", "make it longer"))
+            commands.append((f"caterpillar resume {folder} --generations {more}", "make the run longer"))
     return commands
 
 

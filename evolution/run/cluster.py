@@ -24,12 +24,12 @@ from evolution.run import evaluators
 from evolution.run.evaluators import Evaluator, Job, OnProgress, Result, run_job
 
 _CONNECT_TIMEOUT_S = 5.0
-_CHECK_S = 2.0  # between two checks of the head
-_RETRIES = 10  # of a task whose worker was lost
+_CHECK_S = 2.0  # time between two checks of the head
+_RETRIES = 10  # retries of a task whose worker was lost
 _LEAST_TASK_S = 0.05  # a shorter task would take as long as Ray needs to start it
 #: A head that does not answer for this time is lost. Ray itself would exit after 60 s.
 HEAD_TIMEOUT_S = 15.0
-CORE_TIMEOUT_S = 600.0  #: time in which a cluster without any core must get one
+CORE_TIMEOUT_S = 600.0  #: longest time without any core in the cluster
 
 
 class ClusterError(CaterpillarError):
@@ -41,14 +41,14 @@ class Cluster:
 
     Args:
         address: HOST:PORT of the head of a running cluster, or "auto" for the cluster of this machine.
-            None is the cluster that the environment variable RAY_ADDRESS names, as in a Ray job. Without
+            If None, the environment variable RAY_ADDRESS gives the address, as in a Ray job. Without
             this variable, a cluster on this machine is started, and stopped at the end of the context.
     """
 
     def __init__(self, address: str | None = None) -> None:
         self._address = address
         self._connected = False
-        self._processes: list[Any] = []  # of the cluster, if this object has started it
+        self._processes: list[Any] = []  # processes of the cluster, if this object started it
         self._remotes: dict[Callable[..., Any], Any] = {}
         self._lock = threading.Lock()
         self._head = self._node = ""
@@ -90,7 +90,7 @@ class Cluster:
         self._connected = True
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, on_term)  # Ray's own handler would end the process at once
-        # Their own children too: without the head, some of Ray's agents would never end.
+        # Include their children: without the head, some of Ray's agents would never end.
         for process in set(Process().children()) - before:
             self._processes += [process, *process.children(recursive=True)]
 
@@ -163,8 +163,8 @@ class Cluster:
     def _check(self, *, now: bool = False) -> bool:
         """Return whether the head answers, and count the cores.
 
-        Ray's own calls to a lost head block, and end the process after a minute. Therefore this connects
-        to the head first.
+        If the head is lost, Ray's own calls block, and end the process after a minute. Therefore this
+        method connects to the head first.
 
         Args:
             now: check even if the last check was less than `_CHECK_S` ago.
@@ -215,8 +215,8 @@ def _check_reachable(address: str) -> None:
     """Raise an error if nothing listens at HOST:PORT; Ray would retry for minutes and then abort."""
     if address.startswith("ray://"):
         raise ClusterError(
-            f"the address {address} is that of a Ray Client, which is not supported; give HOST:PORT of "
-            "the head, on a machine of the cluster, or use `ray job submit` (see docs/howto/cluster.md)"
+            f"the address {address} needs Ray Client, which is not supported; give HOST:PORT of the "
+            "head on a machine of the cluster, or use `ray job submit` (see docs/howto/cluster.md)"
         )
     host, _, port = address.rpartition(":")
     if not port.isdigit():
@@ -235,7 +235,7 @@ def chunk_sizes(count: int, workers: int, least: int = 1) -> list[int]:
 
     The chunks become smaller: in each round, every worker gets an equal part of half of the remaining
     genomes (factoring, Hummel et al. 1992, Communications of the ACM 35(8)). Large chunks cost less per
-    genome, and small ones at the end leave little to wait for.
+    genome, and small chunks at the end shorten the wait for the last worker.
 
     Args:
         count: number of genomes.
@@ -256,8 +256,8 @@ class RayEvaluator(Evaluator):
 
     Args:
         address: see `Cluster`.
-        share: share of the cluster's cores that this evaluator should fill, in (0, 1]. It may use all of
-            them, but the chunks are larger if others use the same cluster.
+        share: share of the cluster's cores that this evaluator should fill, in (0, 1]. It may use all
+            cores, but a smaller share makes the chunks larger.
     """
 
     def __init__(self, address: str | None = None, share: float = 1.0) -> None:

@@ -62,7 +62,7 @@ def _open_lock(folder: Path, flags: int) -> IO[bytes]:
 
 
 def _check_kind(path: Path) -> None:
-    """Refuse pipes and devices, which can wait forever, in place of a file and its rollback journal."""
+    """Refuse a pipe or device as the file or its rollback journal, because it can block forever."""
     for file in (path, path.with_name(f"{path.name}-journal")):
         if file.exists() and not file.is_file():
             raise JournalError(f"{file} is not a regular file; remove it, or restore a copy of the run")
@@ -80,8 +80,8 @@ def connect_to_write(path: Path, stack: ExitStack) -> sqlite3.Connection:
 def connect_to_read(path: Path, stack: ExitStack) -> sqlite3.Connection:
     """Open a file for reading until `stack` is closed. This needs no write access.
 
-    If a process was killed while it wrote, SQLite has to undo its last transaction. It does that in a
-    copy.
+    If a process was killed while it wrote, SQLite has to undo the last transaction. This is done
+    in a copy.
     """
     _check_kind(path)
     uri = f"{path.resolve().as_uri()}?mode=ro"
@@ -109,7 +109,7 @@ def damaged(path: Path, why: str) -> JournalError:
 
 @contextmanager
 def explain_errors(path: Path, *, reading: bool = False, advice: str = "") -> Iterator[None]:
-    """Convert SQLite and file system errors to a `JournalError`, also for damage.
+    """Convert SQLite errors, file system errors and damage to a `JournalError`.
 
     Args:
         path: the file.
@@ -121,7 +121,7 @@ def explain_errors(path: Path, *, reading: bool = False, advice: str = "") -> It
     except UnicodeError as error:  # from a message of SQLite that quotes damaged text
         raise damaged(path, str(error)) from None
     except sqlite3.IntegrityError as error:
-        raise JournalError(f"{path} cannot record this: {error}") from None
+        raise JournalError(f"{path} cannot record these data: {error}") from None
     except (sqlite3.DatabaseError, OSError) as error:
         code = getattr(error, "sqlite_errorcode", None)  # None if text is not UTF-8, which is damage
         if isinstance(error, sqlite3.DatabaseError) and (code is None or code & 0xFF not in _HEALTHY):

@@ -26,7 +26,7 @@ class Job(NamedTuple):
 
     genomes: Array  #: (P, n), values in [0, 1]
     end_s: float = EPISODE_S
-    start: CrawlState | None = None  #: state of the robots before; None means the start
+    start: CrawlState | None = None  #: state to continue from; None means the start
 
 
 class Result(NamedTuple):

@@ -210,7 +210,7 @@ class History:
         genomes = [e.genome for e in self.evaluations]
         if self.kind == "training":
             if genomes and len(genomes[0]) != len(NAMES):
-                raise damaged(self._journal.path, "the bodies have other genes")
+                raise damaged(self._journal.path, "the bodies have the wrong number of genes")
             bodies = [Morphology.from_unit(genome).to_array() for genome in genomes]
             return list(NAMES), np.reshape(bodies, (len(genomes), len(NAMES)))
         names = [gene.name for gene in self.config.encoding.genes]
@@ -262,7 +262,7 @@ class History:
             if (not known and self.best is not before) or not file.exists():
                 advice = f"free some space and run `caterpillar resume {shlex.quote(str(self.folder))}`"
                 self.robot(self.best).save(file, advice)
-        if not known:  # last, so that a resumed run writes what could not be written before
+        if not known:  # last, so that a resumed run repeats a failed write of best.json
             self._journal.complete(self._completions[number])
         return outcomes
 

@@ -86,7 +86,7 @@ class Session(NamedTuple):
 
 
 def fingerprint(packages: Sequence[str] = ()) -> dict[str, str]:
-    """Return what results depend on: the versions, also of additional packages, and the machine type."""
+    """Return the versions and the machine type, on which results depend. `packages` adds packages."""
     versions = {name: version(name) for name in (*_PACKAGES, *packages)}
     return versions | {"python": platform.python_version(), "machine": platform.machine()}
 
@@ -206,7 +206,7 @@ class Journal:
         )
 
     def _parse(self, text: Any, what: str) -> dict[str, Any]:
-        """Parse a JSON object. Without a digest, damage to it may show only here."""
+        """Parse a JSON object. If it has no digest, damage to it may be detected only here."""
         try:
             data = parse_json(text)
         except (TypeError, ValueError, RecursionError) as error:
@@ -255,7 +255,7 @@ class Journal:
         Raises:
             JournalError: an evaluation is missing or was altered.
         """
-        sizes = set()  # of the genomes in bytes
+        sizes = set()  # sizes of the genomes in bytes
         for number, values in enumerate(self._read("evaluations")):
             if values[0] != number:
                 raise damaged(self.path, f"evaluation {number} is missing")
@@ -286,7 +286,7 @@ class Journal:
         return found
 
     def _read(self, table: str) -> Iterator[tuple[Any, ...]]:
-        """Yield the rows of a table without their digests, after checking these."""
+        """Check the digests of a table, and yield its rows without them."""
         checked = schema.has_digests(table, self._schema)
         with explain_errors(self.path, reading=True):
             for count, row in enumerate(self._db.execute(f"SELECT * FROM {table} ORDER BY rowid")):

@@ -1,7 +1,7 @@
 """The main loop: ask the optimizer for genomes, evaluate and record them, and tell it their fitness.
 
-A run is resumed by replaying it: a new optimizer proposes the same genomes again, and the outcomes of
-those evaluated before come from the journal.
+A run is resumed by replaying it: a new optimizer proposes the same genomes again, and the journal
+supplies the outcomes of genomes that were evaluated before.
 """
 
 from __future__ import annotations

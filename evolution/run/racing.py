@@ -1,7 +1,7 @@
 """Racing: after a few gait periods, only the best share of a generation is simulated to the end.
 
-The other robots are stopped early. This is not a failure: their outcomes are those at that time, and
-`evolution.objective.stopped` tells which.
+The other robots are stopped early. This is not a failure. Their outcomes are recorded at that time, and
+`evolution.objective.stopped` identifies them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def race(
     evaluator: Evaluator,
     on_progress: OnProgress | None = None,
 ) -> Outcomes:
-    """Evaluate a generation of genomes (P, n), and stop those early that are behind.
+    """Evaluate a generation of genomes (P, n), and stop all robots but the leaders early.
 
     The leaders continue from their state, so that nothing is simulated twice.
 
@@ -45,7 +45,7 @@ def race(
     encoding, stop_s = config.encoding, config.race_periods * config.gait_period_s
     count = math.ceil(config.race_share * len(genomes))
     first_s = stop_s * len(genomes)
-    first_share = first_s / (first_s + (EPISODE_S - stop_s) * count)  # of the work
+    first_share = first_s / (first_s + (EPISODE_S - stop_s) * count)  # share of the work
     jobs = [Job(chunk, stop_s) for chunk in evaluator.split(genomes)]
     results = list(run_jobs(evaluator, encoding, jobs, on_progress, 0.0, first_share))
     outcomes = Outcomes.join(r.outcomes for r in results)

@@ -50,7 +50,7 @@ _DIGEST = "digest"
 
 
 def list_columns(schema: int) -> dict[str, list[str]]:
-    """Return the columns of each table. The last one is the digest of the others, if there is one."""
+    """Return the columns of each table. The digest of the other columns, if any, comes last."""
     later = [_DIGEST] if schema >= 3 else []
     return {
         "run": ["configuration", *later],

@@ -161,7 +161,7 @@ def summarize(analysis: Analysis) -> list[str]:
 
 def _summarize_times(threshold: Threshold, row: Times, reference: str) -> str:
     if np.isnan(row.threshold_m):
-        return f"{row.arm}: {threshold} is not known yet, or 0."
+        return f"{row.arm}: {threshold} is 0 or not known yet."
     level = _mm(row.threshold_m)
     if threshold.fixed_m is None:
         level = f"{threshold} ({level})"

@@ -58,7 +58,7 @@ class Arm(Protocol):
             folder: run folder.
             seed: seed of the run.
             budget_s: simulated time to spend, s.
-            evaluator: simulates genomes. Apart from it, a run uses one thread.
+            evaluator: simulates genomes. The rest of the run uses one thread.
         """
 
     def matches(self, history: History, seed: int, budget_s: float) -> bool:
@@ -89,7 +89,7 @@ class Arm(Protocol):
 
 
 def make_arm(name: str, data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm:
-    """Make the arm `name` of the kind that `data["kind"]` names ("evolution" by default).
+    """Make the arm `name`. Its kind is `data["kind"]`, "evolution" by default.
 
     Args:
         name: name of the arm, for messages.
@@ -158,7 +158,7 @@ class EvolutionArm:
         return replace(self.config, seed=seed, budget_s=budget_s, generations=_UNLIMITED)
 
     def run(self, folder: Path, seed: int, budget_s: float, evaluator: Evaluator) -> bool:
-        """Evolve, or resume if there is a journal, which may have a smaller budget."""
+        """Evolve, or resume from a journal, whose budget may be smaller."""
         if (folder / FILE).exists():
             with Journal(folder) as journal:
                 History(journal).configure(self.run_config(seed, budget_s))

@@ -27,7 +27,7 @@ from evolution.study.config import Cell, StudyConfig
 from evolution.study.results import is_finished, read_all
 
 _POLL_S = 0.5
-#: An arm, the first arguments of `Arm.run`, and the evaluations to continue from without a journal.
+#: An arm, the first arguments of `Arm.run`, and evaluations to continue from if there is no journal.
 _Task = tuple[Arm, Path, int, float, polars.DataFrame | None]
 
 
@@ -48,7 +48,7 @@ class Processes:
             process.join()
 
     def run(self, task: _Task, cells: int) -> None:
-        """Run a cell, one of `cells` unfinished ones, to its end.
+        """Run a cell to its end. `cells` is the number of unfinished cells.
 
         Raises:
             CaterpillarError: the cell raised an error, or its process was killed.
@@ -109,7 +109,7 @@ class RayTasks:
         self._cluster.__exit__(*exception)
 
     def run(self, task: _Task, cells: int) -> None:
-        """Run a cell, one of `cells` unfinished ones, to its end.
+        """Run a cell to its end. `cells` is the number of unfinished cells.
 
         Raises:
             ClusterError: the cluster was lost.

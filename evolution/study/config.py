@@ -46,10 +46,10 @@ class StudyConfig:
     arms: Mapping[str, Arm]
     seeds: tuple[int, ...] = ()
     budget_s: float = 0.0  #: simulated seconds of each run
-    long_seeds: tuple[int, ...] = ()  #: seeds with which the reference runs on, to `long_budget_s`
+    long_seeds: tuple[int, ...] = ()  #: seeds with which the reference continues to `long_budget_s`
     long_budget_s: float = 0.0  #: simulated seconds of the reference's longer runs
     reference: str = "ga-uniform"  #: arm that the other arms are compared with
-    references: Mapping[str, str] = field(default_factory=dict)  #: by arm, if not `reference`
+    references: Mapping[str, str] = field(default_factory=dict)  #: by arm, if different from `reference`
     #: Numbers of generations after which arms with the algorithm of `reference` are compared.
     generations: tuple[int, ...] = (50,)
     #: Thresholds in m. By default, the median distance of the reference after each of `generations`.
@@ -90,7 +90,7 @@ class StudyConfig:
                 f"long_budget_s = {self.long_budget_s!r} must be at least budget_s = {self.budget_s:g}"
             )
         if self.long_seeds and not isinstance(self.arms[self.reference], EvolutionArm):
-            raise CaterpillarError("long_seeds needs a reference that evolves robots; remove it")
+            raise CaterpillarError("remove long_seeds, which needs a reference that evolves robots")
         times_s = self.compare_at_s
         if len(set(times_s)) < len(times_s) or not all(0 < time_s < self.budget_s for time_s in times_s):
             raise CaterpillarError(
@@ -148,7 +148,7 @@ class StudyConfig:
         return self.long_budget_s if is_long else self.budget_s
 
     def reference_of(self, arm: str) -> str:
-        """Return the reference of an arm, or the arm itself if it is another reference."""
+        """Return the reference of an arm, or the arm itself if `references` names it as a reference."""
         return self.references.get(arm, arm if arm in self.references.values() else self.reference)
 
     def comparable(self) -> list[str]:
@@ -217,7 +217,7 @@ def begin(config: StudyConfig, folder: Path) -> None:
         changed += [f"arms.{a}" for a, arm in before.arms.items() if config.arms.get(a, arm) != arm]
         if changed:
             raise CaterpillarError(
-                f"{folder} holds a study with other {', '.join(changed)}, whose runs are not "
+                f"{folder} holds a study with other {', '.join(changed)}, so its runs are not "
                 "comparable; choose another folder with --out"
             )
     with writing(folder):

@@ -74,7 +74,7 @@ def draw_generations(analysis: Analysis) -> Figure | None:
 
 
 def draw_survival(analysis: Analysis) -> Figure | None:
-    """Draw Kaplan-Meier curves of the time to each threshold, or return None if none is known."""
+    """Draw Kaplan-Meier curves of the time to each threshold, or None if no threshold is known."""
     known = {
         threshold: {row.arm: row.threshold_m for row in rows if not np.isnan(row.threshold_m)}
         for threshold, rows in analysis.times.items()
@@ -110,7 +110,7 @@ def draw_survival(analysis: Analysis) -> Figure | None:
 
 
 def draw_speed_ups(analysis: Analysis) -> Figure | None:
-    """Draw the speed-up of each arm over a range of thresholds, or return None without any."""
+    """Draw the speed-up of each arm over a range of thresholds, or return None if there is none."""
     if not analysis.speed_ups:
         return None
     figure, axis = _new_figure("speed-up over the reference")
@@ -126,7 +126,7 @@ def draw_speed_ups(analysis: Analysis) -> Figure | None:
 
 
 def draw_genes(analysis: Analysis) -> Figure | None:
-    """Draw the speed-up over the number of genes, if arms of different robots have references."""
+    """Draw the speed-up over the number of genes, or return None if `references` is empty."""
     config, rows = analysis.config, next(reversed(list(analysis.times.values())), [])
     found: dict[str, list[tuple[float, ...]]] = {}
     for row in rows:
@@ -152,7 +152,7 @@ def draw_genes(analysis: Analysis) -> Figure | None:
 
 
 def _bound(ratios: Array) -> Array:
-    """Return ratios within the range of the axis. Undefined ones stay NaN."""
+    """Return ratios within the range of the axis. Undefined ratios stay NaN."""
     bounded: Array = np.clip(ratios, 1 / _LARGEST_SPEED_UP, _LARGEST_SPEED_UP)
     return bounded
 

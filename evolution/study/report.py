@@ -20,7 +20,8 @@ _CAPTIONS = {
     "survival": "Share of runs that have not reached a threshold (Kaplan-Meier, 95 % intervals). Runs "
     "that never reach it are censored at their budget.",
     "speed-up": "Speed-up over the reference, by the distance to reach, with 95 % intervals. Triangles: "
-    "no run of the reference (up) or of the arm (down) reached it in some resamples or at all.",
+    "no run of the reference (up) or of the arm (down) reached that distance, in some resamples or at "
+    "all.",
     "genes": "Speed-up over the reference of the same robot, by the number of genes, with 95 % "
     "intervals. Triangles as above.",
     "targets": "Share of 50 target distances reached, over all runs.",

@@ -46,13 +46,13 @@ def read_run(config: StudyConfig, cell: Cell, study: Path) -> History | None:
         return None  # running this cell reports the error
     if not config.arms[cell.arm].matches(history, cell.seed, config.budget_of(cell)):
         raise CaterpillarError(
-            f"{folder} was run with other settings; choose another study folder with --out, or delete it"
+            f"{folder} was run with other settings; delete it, or choose another study folder with --out"
         )
     return history
 
 
 def read_kept(folder: Path) -> dict[Cell, polars.DataFrame]:
-    """Read the evaluations that an earlier `collect` wrote into the file `DATA`, finished or not.
+    """Read the evaluations of finished and unfinished runs that `collect` wrote into `DATA`.
 
     Raises:
         CaterpillarError: the file cannot be read, or does not match its digest.
@@ -90,7 +90,7 @@ def read_all(config: StudyConfig, folder: Path) -> dict[Cell, polars.DataFrame]:
 
 
 def is_finished(config: StudyConfig, cell: Cell, rows: polars.DataFrame | None) -> bool:
-    """Return whether the evaluations of a run are all that its budget allows."""
+    """Return whether the evaluations of a run use up its budget."""
     if rows is None:
         return False
     spent_s = float(rows["simulated_s"].sum())
@@ -108,7 +108,7 @@ def collect(config: StudyConfig, folder: Path) -> Results:
         table = polars.concat(found.values(), how="diagonal")
         if not (file.exists() and polars.read_parquet(file).equals(table)):
             content = io.BytesIO()
-            # In small groups, of which a version-control system stores only those that change.
+            # With small groups, a version-control system stores only the groups that change.
             table.write_parquet(
                 content, compression="zstd", compression_level=15, row_group_size=_GROUP_ROWS
             )
@@ -187,7 +187,7 @@ class Run(NamedTuple):
         return float(self.spent_s[place]) if place < len(self.best_m) else float("inf")
 
     def generations_to(self, distance_m: float) -> float:
-        """Return the number of generations that the run needs to a distance; infinite if never."""
+        """Return the number of generations that the run needs to reach a distance; infinite if never."""
         place = int(np.searchsorted(self.best_m, distance_m))
         return float(self.generation[place] + 1) if place < len(self.best_m) else float("inf")
 

@@ -67,7 +67,7 @@ class Comparison(NamedTuple):
     condition: str
     robots: int
     failed: int  #: number of robots that fail
-    median_share: float  #: of the recorded distance, over the others; NaN if there are none
+    median_share: float  #: share of the recorded distance, over robots that do not fail; NaN if all fail
     smallest_share: float  #: the same
     largest_share: float  #: the same
 
@@ -87,7 +87,7 @@ class Retest(NamedTuple):
     """Results of the best robots of a study."""
 
     winners: list[Winner]  #: the best robot of each arm
-    comparisons: list[Comparison]  #: of robots that were simulated under all `CONDITIONS`
+    comparisons: list[Comparison]  #: for robots that were simulated under all `CONDITIONS`
     crawling: list[Crawling]  #: how these robots crawl; policies are left out
 
 
@@ -129,7 +129,7 @@ def retest_winners(analysis: Analysis, folder: Path, *, every_run: bool = False)
 
 
 def _row(rows: dict[_Key, _Row], key: _Key) -> _Row:
-    """Return the row of a robot, which is added if it is missing."""
+    """Return the row of a robot, and add it if it is missing."""
     new = {"arm": key[0], "seed": key[1], "recorded_m": key[2], "references": {}}
     return rows.setdefault(key, new)
 

@@ -27,7 +27,10 @@ _FRAME_S = 1 / 30
 _LONGEST_FRAME_S = 0.25  # after a longer interruption the robot does not catch up with real time
 _HINTS = {p.name: f"{p.description} ({p.symbol} in the paper); restarts the robot" for p in PARAMETERS}
 _HINTS["friction"] = "friction of feet and elements on the ground; restarts the robot"
-_PHASE_HINT = "share of the period; a delay counts from the dorsal pair of the gap ahead or of the gap"
+_PHASE_HINT = (
+    "share of the period; delays count from the dorsal pair of the gap ahead (dorsal pairs) or of the "
+    "same gap (ventral pairs)"
+)
 _TIME_HINT = "if off is earlier than on, the power stays on beyond the end of the period"
 
 

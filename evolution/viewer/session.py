@@ -30,7 +30,7 @@ class Session:
     def reset(self) -> None:
         """Return the robot to its initial state."""
         self._crawl = Crawl([self.robot.morphology], self.robot.physics, threads=1)
-        self._traces: list[Trace] = []  # of the last control interval
+        self._traces: list[Trace] = []  # traces of the last control interval
         self._intervals = 0
 
     def change(self, robot: Robot) -> bool:

@@ -113,7 +113,7 @@ def test_best_robot_is_that_of_the_best_evaluation(finished, tmp_path):
 
 
 @pytest.mark.slow
-def test_policies_are_among_all_winners_and_need_no_training_runs_then(finished, tmp_path, monkeypatch):
+def test_policies_are_retested_even_without_their_training_runs(finished, tmp_path, monkeypatch):
     study = tmp_path / "study"
     shutil.copytree(finished, study)
     monkeypatch.setattr(winners, "CONDITIONS", {"slippery": {"friction": 0.3}})

@@ -72,7 +72,7 @@ def test_eval_takes_the_json_file_of_a_robot(folder, tmp_path, capsys):
     assert cli.main(["rl", "eval", str(tmp_path / "robot.json")]) == 0
     assert f"{1000 * robot.fitness_m:.1f} mm" in capsys.readouterr().out
     assert cli.main(["rl", "eval", str(tmp_path / "robot.json"), "--which", "last"]) == 1
-    assert "has one policy; for the last one, give a training run" in capsys.readouterr().err
+    assert "has only one policy; for the last policy, give the folder" in capsys.readouterr().err
     assert cli.main(["rl", "eval", str(tmp_path / "robot.json"), "--which", "random"]) == 0
     assert cli.main(["rl", "eval", str(tmp_path / "typo.json")]) == 1
     assert "give the folder of a training run, or the JSON file" in capsys.readouterr().err
@@ -183,14 +183,14 @@ def test_compare_prints_a_table(folder, capsys):
     ],
     ids=str,
 )
-def test_errors_take_one_line(arguments, message, capsys):
+def test_errors_are_one_line(arguments, message, capsys):
     assert cli.main(["rl", *arguments]) in (1, 2)
     err = capsys.readouterr().err
     assert message in err
     assert err.count("\n") == 1
 
 
-def test_eval_rejects_equal_episodes(folder, capsys):
+def test_eval_rejects_several_episodes_of_a_deterministic_policy(folder, capsys):
     assert cli.main(["rl", "eval", str(folder), "--episodes", "2"]) == 2
     assert "add --which random" in capsys.readouterr().err
 

@@ -99,7 +99,7 @@ def test_fitness_of_a_body_is_the_mean_of_its_robots_first_episodes(monkeypatch)
     ends = [{"distance": 0.01 * row, "failure": Failure.NONE} for row in range(16)]
     ends[3]["failure"] = Failure.TIPPED
     ends[5]["distance"] = -0.5
-    ignored = [{"distance": 9.0, "failure": Failure.NONE}] * 16  # of a second episode
+    ignored = [{"distance": 9.0, "failure": Failure.NONE}] * 16  # from a second episode
     for infos in (ends, ignored):
         designs.update_locals({"dones": np.ones(16, dtype=bool), "infos": infos})
         designs._on_step()

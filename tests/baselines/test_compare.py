@@ -50,7 +50,7 @@ def test_groups_with_the_same_title_get_numbers(tmp_path):
     assert [row["name"] for row in summarize([one, two])] == ["ppo phase", "ppo phase #2"]
 
 
-def test_summary_is_of_the_best_policies_and_the_untrained_ones(trainings):
+def test_summary_covers_the_best_and_the_untrained_policies(trainings):
     row, other = summarize(trainings)
     assert row["simulated_s"] == 250.0
     assert (row["least_m"], row["median_m"], row["most_m"]) == (0.02, pytest.approx(0.035), 0.05)

@@ -80,7 +80,7 @@ def test_files_follow_rl_zoos_schema(path):
         assert {"policy", "n_timesteps", "n_envs", "vec_env_wrapper"} <= set(found)
 
 
-def test_bandit_acts_once_per_episode_and_learns_from_as_many_episodes():
+def test_bandit_acts_once_per_episode_and_keeps_the_episodes_per_rollout():
     closed = hyperparameters(TrainConfig())
     bandit = hyperparameters(TrainConfig(open_loop=True))
     assert bandit.env_kwargs == {"action_repeat": 6}
@@ -98,7 +98,7 @@ def test_interface_has_the_mode_and_the_prior():
     assert found == {"reach": 0.3, "mode": "timing", "prior": "uniform"}
 
 
-def test_policies_without_the_prior_begin_as_those_of_stable_baselines3():
+def test_only_policies_with_the_prior_have_a_callback():
     for config in (TrainConfig("td3"), TrainConfig(mode="switch")):
         assert hyperparameters(config).callback
         assert not hyperparameters(replace(config, prior="uniform")).callback
@@ -153,16 +153,16 @@ def test_invalid_overrides_are_rejected(fields, entry, message):
         TrainConfig(**fields, override=(entry,))
 
 
-def test_override_is_given_once():
+def test_repeated_override_is_rejected():
     with pytest.raises(CaterpillarError, match="override has gamma more than once"):
         TrainConfig(override=("gamma=0.9", "gamma=0.5"))
 
 
-def test_bandits_keep_one_step_per_rollout_at_least():
+def test_bandit_has_at_least_one_step_per_rollout():
     assert hyperparameters(TrainConfig(open_loop=True, override=("n_steps=3",))).model["n_steps"] == 1
 
 
-def test_journals_of_earlier_versions_without_overrides_are_the_same():
+def test_journal_of_an_earlier_version_matches_the_same_config():
     config = TrainConfig(seed=3)
     recorded = make_configuration(config)
     del recorded["override"]
@@ -183,5 +183,5 @@ def test_journals_of_earlier_versions_without_overrides_are_the_same():
     ],
     ids=str,
 )
-def test_title_names_what_is_special(fields, title):
+def test_title_names_the_settings_that_differ_from_the_defaults(fields, title):
     assert TrainConfig(**fields).title == title

@@ -1,4 +1,4 @@
-"""What a policy observes, and what its actions mean."""
+"""The observations of a policy, and the meaning of its actions."""
 
 import gymnasium
 import numpy as np
@@ -64,7 +64,7 @@ def test_delays_and_times_are_circular_but_duties_are_not():
     interface = wrap(reach=0.3)
     centre = best_wave(Physics(), "phase").action
     moved = interface.act(back, interface.reset())[0]
-    assert moved[0] == pytest.approx(0.4)  # a delay of -0.3 is one of 0.7
+    assert moved[0] == pytest.approx(0.4)  # a delay of -0.3 wraps around to 0.7
     assert centre[1] - 0.6 < -1 == moved[1]
     timing = wrap("timing", reach=0.3)
     centre = best_wave(Physics(), "timing").action
@@ -89,7 +89,7 @@ def test_flips_change_the_switches_of_the_wave():
 
 
 @pytest.mark.parametrize("mode", ["timing", "phase", "switch"])
-def test_without_the_prior_actions_are_those_of_the_robots(mode):
+def test_actions_are_passed_through_without_the_prior(mode):
     interface = wrap(mode, prior="uniform")
     actions = np.array([interface.action_space.sample() for _ in range(2)])
     assert interface.act(actions, interface.reset()) is actions
@@ -110,7 +110,7 @@ def test_policy_observes_the_chosen_entries():
 
 
 @pytest.mark.parametrize("path", sorted(HYPERPARAMETERS.glob("*.yml")), ids=lambda path: path.stem)
-def test_files_of_hyperparameters_wrap_single_environments_as_rl_zoo3_does(path):
+def test_hyperparameter_files_wrap_single_environments_like_rl_zoo3(path):
     for env_id, found in yaml.safe_load(path.read_text()).items():
         (entry,) = found["vec_env_wrapper"]
         ((name, arguments),) = entry.items()

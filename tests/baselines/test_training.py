@@ -57,7 +57,7 @@ def trained(tmp_path_factory):
 def test_budget_counts_training_and_evaluation_and_is_spent(trained):
     _, history = trained
     assert history.finished
-    # The first evaluation is that of the untrained policy, the second one follows a rollout.
+    # The first evaluation tests the untrained policy. The second one follows a rollout.
     assert history.evaluations[0].simulated_s == 30.0
     assert history.evaluations[1].simulated_s == pytest.approx(16 * 30.0 + 30.0)
     # The budget keeps a reserve for a step of all robots and two evaluations.
@@ -88,7 +88,7 @@ def test_journal_holds_every_evaluation_and_the_configuration(trained):
 
 
 @pytest.mark.slow
-def test_a_repeated_training_gives_the_same_bits(trained, tmp_path):
+def test_repeated_training_run_is_bitwise_identical(trained, tmp_path):
     folder, history = trained
     again = train(config(), tmp_path / "again", threads=1).history
     assert [e[3:7] for e in again.evaluations] == [e[3:7] for e in history.evaluations]
@@ -96,13 +96,13 @@ def test_a_repeated_training_gives_the_same_bits(trained, tmp_path):
     assert all(np.array_equal(one[name], two[name]) for name in one)
 
 
-def test_last_policy_crawls_as_far_again(trained):
+def test_last_policy_reproduces_its_recorded_distance(trained):
     folder, history = trained
     robot = TrainedRobot.load(folder, "last")
     assert robot.simulate().distance_m[0] == robot.fitness_m == history.evaluations[-1].distance_m
 
 
-def test_saved_robot_crawls_as_far_again(trained, tmp_path):
+def test_saved_robot_reproduces_its_distance(trained, tmp_path):
     robot = TrainedRobot.load(trained[0], "last")
     robot.save(tmp_path / "robot.json")
     again = TrainedRobot.load(tmp_path / "robot.json")
@@ -114,7 +114,7 @@ def test_saved_robot_crawls_as_far_again(trained, tmp_path):
     assert TrainedRobot.load(tmp_path / "slippery.json").physics == slippery.physics
 
 
-def test_settings_of_learning_do_not_matter_for_loading(trained, tmp_path):
+def test_loading_ignores_the_hyperparameters_of_learning(trained, tmp_path):
     robot = TrainedRobot.load(trained[0], "last")
     huge = replace(robot.config, override=("n_envs=1000000", "n_steps=1000000"))
     replace(robot, config=huge).save(tmp_path / "robot.json")
@@ -224,7 +224,7 @@ def stop_after(count):
 
 
 def assert_same_runs(one, other):
-    """Two folders have the same evaluations and policies, and no checkpoint."""
+    """Assert that two folders have the same evaluations and policies, and no checkpoint."""
     first, second = (Training.read(folder).history for folder in (one, other))
     assert first.finished
     assert second.finished
@@ -237,7 +237,7 @@ def assert_same_runs(one, other):
             assert (one / name).read_bytes() == (other / name).read_bytes()
 
 
-def test_a_resumed_training_gives_the_same_bits(trained, tmp_path):
+def test_resumed_training_run_is_bitwise_identical(trained, tmp_path):
     for count in (2, 4):
         folder = tmp_path / str(count)
         assert not train(config(), folder, on_evaluation=stop_after(count)).history.finished
@@ -272,7 +272,7 @@ def test_every_kind_of_training_can_be_resumed(tmp_path, monkeypatch, fields):
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [1, 3])  # the best evaluation, and the last one
 @pytest.mark.parametrize("step", ["append", "complete", "_save", "finish"])
-def test_a_training_that_was_killed_while_it_recorded_gives_the_same_bits(
+def test_killed_and_resumed_training_run_is_bitwise_identical(
     trained, tmp_path, monkeypatch, step, number
 ):
     """The process dies before it records, completes or saves an evaluation, or before it finishes."""
@@ -297,7 +297,7 @@ def test_training_with_given_springs_can_be_resumed(tmp_path):
     assert resume(tmp_path / "run").history.finished
 
 
-def test_training_of_an_earlier_version_names_its_folder(trained, tmp_path):
+def test_error_for_a_run_of_an_earlier_version_names_the_folder(trained, tmp_path):
     (tmp_path / "journal.sqlite").write_bytes((trained[0] / "journal.sqlite").read_bytes())
     with Journal(tmp_path) as journal:
         journal.configure(journal.configuration | {"algorithm": "sac"})
@@ -319,7 +319,7 @@ def test_invalid_observations_are_refused_before_the_folder_is_made(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_training_of_other_hyperparameters_is_not_resumed(tmp_path, monkeypatch):
+def test_training_run_with_other_hyperparameters_is_not_resumed(tmp_path, monkeypatch):
     train(config(), tmp_path / "run", on_evaluation=stop_after(1))
     with Journal(tmp_path / "run") as journal:
         journal.configure(journal.configuration | {"hyperparameters": {}})
@@ -377,7 +377,7 @@ def test_only_training_is_randomized(tmp_path, frictions):
     assert 0.2 <= min(frictions[-1]) < max(frictions[-1]) <= 0.3
 
 
-def test_neighbouring_seeds_share_neither_conditions_nor_weights(tmp_path, frictions):
+def test_neighbouring_seeds_have_different_conditions_and_weights(tmp_path, frictions):
     for seed in (0, 1):
         asked = config(budget_s=150.0, seed=seed, randomize={"friction": (0.2, 1.0)})
         train(asked, tmp_path / str(seed))
@@ -440,7 +440,7 @@ def test_too_small_budget_is_rejected(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_evolutionary_run_is_no_training(trained, tmp_path):
+def test_evolutionary_run_is_not_read_as_a_training_run(trained, tmp_path):
     (tmp_path / "journal.sqlite").write_bytes((trained[0] / "journal.sqlite").read_bytes())
     with Journal(tmp_path) as journal:
         journal.configure({k: v for k, v in journal.configuration.items() if k != "kind"})
@@ -467,7 +467,7 @@ def test_a_loaded_policy_acts_bit_for_bit_as_the_saved_one(tmp_path, algorithm, 
     loaded = Policy.load(tmp_path / "best.npz", asked)
     assert loaded.act(observed).tobytes() == expected.tobytes()
     assert [path.name for path in tmp_path.iterdir()] == ["best.npz"]
-    # The same policy gives the same file, and loading does not change what it observed.
+    # Loading and acting do not change the file of the policy.
     loaded.act(observed)
     loaded.save(tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "best.npz").read_bytes()
@@ -548,7 +548,7 @@ def test_files_that_could_run_code_or_fill_the_memory_are_refused(small, tmp_pat
 
 
 @pytest.mark.slow
-def test_a_damaged_policy_is_read_right_or_refused(small, tmp_path):
+def test_damaged_policy_is_read_correctly_or_rejected(small, tmp_path):
     asked, path = small
     content, file = path.read_bytes(), tmp_path / "best.npz"
     expected = Policy.load(path, asked)._arrays()
@@ -569,7 +569,7 @@ def test_a_damaged_policy_is_read_right_or_refused(small, tmp_path):
     assert refused > 100
 
 
-def test_a_policy_of_other_hyperparameters_is_refused(trained, tmp_path):
+def test_policy_with_other_hyperparameters_is_rejected(trained, tmp_path):
     for name in ("journal.sqlite", "last.npz"):
         (tmp_path / name).write_bytes((trained[0] / name).read_bytes())
     with Journal(tmp_path) as journal:

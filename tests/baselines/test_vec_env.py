@@ -101,7 +101,7 @@ def test_attributes_are_shared_by_all_rows(env):
         env.set_attr("render_mode", "rgb_array", indices=1)
 
 
-def test_monitor_and_normalization_wrap_it(env):
+def test_monitor_and_normalization_wrappers_work(env):
     wrapped = VecNormalize(VecMonitor(env), gamma=0.99)
     wrapped.reset()
     for actions in switches(env.action_space, 10):

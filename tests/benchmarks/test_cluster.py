@@ -1,4 +1,4 @@
-"""The benchmark of a cluster: what it computes from the times of tasks."""
+"""The cluster benchmark: its statistics of task times."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_costs_of_robots_that_fail_are_smaller():
     assert 0 < (costs_s < cluster.GENOME_S).mean() < 0.15
 
 
-def test_a_generation_limits_the_utilization():
+def test_size_of_a_generation_limits_the_utilization():
     assert cluster.schedule(1) == pytest.approx(1.0)
     assert cluster.schedule(2) > 0.99
     assert cluster.schedule(95) > cluster.schedule(128)

@@ -1,4 +1,4 @@
-"""The gallery: its script makes all the pictures of the page, and its figure of the wave is measured."""
+"""The gallery script makes all pictures of the page, and its wave figure matches the simulation."""
 
 import re
 import subprocess
@@ -31,7 +31,7 @@ def test_pictures_are_small():
     assert sum(path.stat().st_size for path in gallery.OUT.iterdir()) < 3e6
 
 
-def test_wave_is_that_of_the_simulation_and_its_loads_carry_the_robot(winner):
+def test_wave_figure_matches_the_simulation_and_its_loads_bear_the_weight(winner):
     recording = Recording(winner)
     first = round(gallery.WAVE_START_S / 0.01)
     period = gallery.measure_period(winner)

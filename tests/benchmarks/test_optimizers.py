@@ -17,7 +17,7 @@ SMALL = replace(
 )  # fmt: skip
 
 
-def test_minimizer_becomes_an_optimizer():
+def test_minimizer_is_wrapped_as_an_ask_tell_optimizer():
     seen = []
 
     def minimize(function):
@@ -41,7 +41,8 @@ def test_creep_moves_some_genes_by_small_steps():
     parents = creep.ask()
     creep.tell(parents, np.ones(len(parents)))
     children = creep.ask()
-    nearest = np.abs(children[:, None] - parents).min(axis=1)  # of any parent, gene by gene
+    # Distance to the nearest parent, gene by gene.
+    nearest = np.abs(children[:, None] - parents).min(axis=1)
     nearest = np.minimum(nearest, 1 - nearest)
     assert 0.05 < (nearest > 0).mean() < 0.3
     assert nearest.max() < 0.3
@@ -79,7 +80,7 @@ def test_pibo_prefers_the_prior_at_first_and_learns():
     pytest.importorskip("smac")
     pibo, shapes = optimizers.PiBO(optimizers.BASE), optimizers.BASE.distributions()
     asked = []
-    for _ in range(36):  # six more than the first design
+    for _ in range(36):  # six more than the initial design
         genomes = pibo.ask()
         asked.append(genomes[0])
         pibo.tell(genomes, -((genomes - 0.3) ** 2).sum(axis=1))
@@ -89,7 +90,7 @@ def test_pibo_prefers_the_prior_at_first_and_learns():
 
 @pytest.mark.parametrize("name", ["shade", "ga-creep", "lq-cma-es", "ws-cma-es", "pibo"])
 @pytest.mark.filterwarnings("ignore")
-def test_a_run_ends_with_its_budget_and_has_a_row(monkeypatch, tmp_path, name):
+def test_run_spends_its_budget_and_returns_a_row(monkeypatch, tmp_path, name):
     if name in PACKAGES:
         pytest.importorskip(PACKAGES[name])
     monkeypatch.setattr(optimizers, "BASE", SMALL)

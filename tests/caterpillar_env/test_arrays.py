@@ -19,9 +19,7 @@ def test_all_rows_in_order_are_selected_without_a_copy():
 
 
 @pytest.mark.parametrize("writable", [True, False])
-def test_function_is_compiled_even_where_no_folder_of_the_cache_is_writable(
-    tmp_path, monkeypatch, writable
-):
+def test_function_is_compiled_even_without_a_writable_cache_folder(tmp_path, monkeypatch, writable):
     module, cache = tmp_path / "doubling.py", tmp_path / "__pycache__"
     module.write_text("def double(x):\n    return 2 * x\n")
     if not writable:  # no folder can be made in the place of a file

@@ -125,7 +125,7 @@ def test_symmetric_and_full_actions_give_the_same_gait():
     np.testing.assert_array_equal(one[0], other[0])
 
 
-def test_switched_springs_are_those_of_the_action():
+def test_switch_action_powers_the_selected_springs():
     env = switch_env()
     action = ALL_OFF.copy()
     action[[0, 7]] = 1
@@ -156,7 +156,7 @@ def test_return_is_the_distance_in_centimetres():
     assert total == pytest.approx(100 * info["distance"])
 
 
-def test_energy_costs_its_weight():
+def test_control_cost_is_the_weighted_energy():
     env = switch_env(forward_reward_weight=0.0, ctrl_cost_weight=2.0, action_repeat=5)
     env.step(ALL_ON)
     _, reward, *_, info = env.step(ALL_ON)
@@ -166,7 +166,7 @@ def test_energy_costs_its_weight():
     assert info["energy_j"] == pytest.approx(watt * 1.0)
 
 
-def test_failure_costs_once():
+def test_failure_cost_is_charged_once():
     env = fail_at_once(
         switch_env(failure_cost=7.0, forward_reward_weight=0.0, terminate_on_failure=False)
     )
@@ -232,7 +232,7 @@ def test_episode_is_truncated_at_its_length():
 
 
 def test_default_episode_is_thirty_seconds():
-    env = switch_env(action_repeat=299)  # of 0.1 s
+    env = switch_env(action_repeat=299)  # a step of 29.9 s
     assert env.step(ALL_OFF)[3] is False
     assert env.step(ALL_OFF)[3] is True
 

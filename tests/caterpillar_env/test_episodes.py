@@ -1,4 +1,4 @@
-"""States of episodes: everything that the rest of an episode depends on."""
+"""Saving, restoring and copying the state of an episode."""
 
 import copy
 import os
@@ -40,7 +40,7 @@ def draw_actions(count, seed=0):
 
 
 def go_on(env):
-    """The rest of the episode, the start of the next one, and a step of it."""
+    """Return the rest of the episode, the reset after it, and the first step of the next one."""
     actions = draw_actions(5, seed=2)
     steps = [env.step(action) for action in actions[:4]]
     return [*steps, env.reset(), env.step(actions[4])]
@@ -78,7 +78,7 @@ def test_state_can_be_restored_after_the_episode_went_on(env):
     assert_same(one, go_on(env))
 
 
-def test_copy_of_an_environment_before_its_reset_needs_one():
+def test_copy_made_before_a_reset_needs_a_reset():
     branch = copy.deepcopy(CaterpillarEnv(**SETTINGS))
     with pytest.raises(CaterpillarError, match="call reset"):
         branch.step(draw_actions(1)[0])
@@ -166,7 +166,7 @@ def test_specification_has_the_number_of_steps(env_id, arguments, steps):
         assert truncated == (number == steps)
 
 
-def test_limit_of_the_user_remains():
+def test_max_episode_steps_of_the_user_is_kept():
     env = gymnasium.make("CaterpillarSMA-v0", max_episode_steps=2)
     assert env.spec.max_episode_steps == 2
 
@@ -206,7 +206,7 @@ def test_delay_of_a_right_spring_counts_from_the_left_one():
     np.testing.assert_array_equal(*ends)
 
 
-def test_springs_switch_alone_without_symmetric():
+def test_switch_mode_rejects_symmetric_false():
     with pytest.raises(CaterpillarError, match="symmetric = False needs action_mode 'timing' or"):
         CaterpillarEnv(action_mode="switch", symmetric=False)
 
@@ -234,7 +234,8 @@ def test_failure_prints_its_name():
 # Forked processes
 
 
-@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")  # of fork beside threads
+# Python warns of a fork in a process with threads.
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 @pytest.mark.parametrize("threads", [1, 2])
 def test_forked_process_steps_or_raises_but_does_not_hang(threads):
     envs = CaterpillarVectorEnv(2, threads=threads, **SETTINGS)

@@ -52,7 +52,7 @@ def test_weak_springs_fail_in_mid_episode():
 
 def test_times_of_failures_are_uniform_in_their_range():
     faults, rng = Faults(springs=1, time_s=(2.0, 4.0)), np.random.default_rng(0)
-    steps = np.array([faults.draw(12, rng)[1] for _ in range(400)])  # of 10 ms
+    steps = np.array([faults.draw(12, rng)[1] for _ in range(400)])  # in units of 10 ms
     assert 200 <= steps.min() < 205
     assert 395 < steps.max() <= 400
     assert steps.mean() == pytest.approx(300, abs=10)
@@ -107,6 +107,6 @@ def test_errors_name_the_field(value, message):
         gymnasium.make(SWITCH, faults=value)
 
 
-def test_faults_of_a_number_of_springs():
+def test_faults_accept_a_number_of_springs():
     assert Faults.of(3) == Faults(springs=3) == Faults.of({"springs": 3})
     assert Faults.of(None) is None

@@ -10,7 +10,7 @@ from caterpillar_env.files import make_folder, read, unused, write_json, writing
 
 def test_non_empty_folder_is_rejected(tmp_path):
     make_folder(tmp_path / "a" / "b", "")
-    make_folder(tmp_path / "a" / "b", "")  # nothing is in it
+    make_folder(tmp_path / "a" / "b", "")  # an empty folder is allowed
     with pytest.raises(CaterpillarError, match="a is not empty; choose another with --out, or else"):
         make_folder(tmp_path / "a", ", or else")
 
@@ -39,7 +39,7 @@ def test_read_errors_name_the_file(tmp_path):
         read(tmp_path / "none.json", dict, "make one")
 
 
-def test_write_errors_give_advice_and_own_errors_pass_through(tmp_path):
+def test_write_errors_give_advice_and_caterpillar_errors_pass_through(tmp_path):
     path = tmp_path / "none" / "x"
     with pytest.raises(CaterpillarError, match="directory; choose another place"), writing(path):
         path.write_text("")

@@ -34,13 +34,13 @@ def test_mirrored_timings_follow_the_order_of_the_springs():
     assert springs.off_s.tolist() == [0.3, 0.3, 0.4, 0.4]
 
 
-def test_power_is_on_from_on_to_off_with_shares_of_partial_steps():
+def test_power_is_on_between_the_times_and_fractional_in_partial_steps():
     np.testing.assert_allclose(
         shares(0.15, 0.42), [0, 0.5, 1, 1, 0.2, 0, 0, 0, 0, 0], atol=1e-12, rtol=0
     )
 
 
-def test_power_wraps_round_the_end_of_the_period():
+def test_power_wraps_around_the_end_of_the_period():
     np.testing.assert_allclose(
         shares(0.75, 0.12), [1, 0.2, 0, 0, 0, 0, 0, 0.5, 1, 1], atol=1e-12, rtol=0
     )
@@ -92,7 +92,7 @@ def test_robots_are_leading_axes():
         np.testing.assert_array_equal(both[row], GaitTimings(1.0, on[row], off[row]).power(0.05))
 
 
-def test_action_runs_from_start_to_end_of_the_period():
+def test_action_range_maps_to_the_gait_period():
     timings = GaitTimings.from_action(np.array([-1.0, 1.0, 0.0, 0.5]), PERIOD_S)
     assert timings.on_s.tolist() == [0.0, 1.5]
     assert timings.off_s.tolist() == [3.0, 2.25]

@@ -40,7 +40,7 @@ def test_only_feet_and_shells_touch_the_ground():
 
 
 def test_without_scenery_the_geoms_of_the_robot_follow_each_other():
-    """`Simulation` reads them as one range."""
+    """`Simulation` reads the geoms of the robot as one range."""
     geoms = touching_geoms(build_model(Morphology(), Physics(), scenery=False))
     np.testing.assert_array_equal(geoms, np.arange(geoms[0], geoms[0] + 16))
 

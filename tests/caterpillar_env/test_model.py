@@ -45,7 +45,7 @@ def step(model, data, seconds):
 
 @pytest.mark.parametrize("num_segments", [2, 4, 7])
 def test_trimmed_spring_jacobians_are_the_derivatives_of_the_lengths(num_segments):
-    # Columns that the trimming drops must be those that are zero, in any pose.
+    # Trimming may drop only the columns that are zero in every pose.
     model, data = built(num_segments=num_segments)
     rng = np.random.default_rng(5)
     mujoco.mj_integratePos(model, data.qpos, rng.normal(size=model.nv), 0.2)
@@ -127,7 +127,7 @@ def test_hinges_stiffen_towards_their_limit():
     linear, square = model.jnt_stiffness[neck], model.jnt_stiffnesspoly[neck]
     moment = linear * 0.35 + square[0] * 0.35**2 + square[1] * 0.35**3
     assert moment == pytest.approx(6 * 6e-3 * 0.35)  # six times the linear one at the limit
-    assert square[0] == 0  # the same to both sides
+    assert square[0] == 0  # symmetric
 
 
 def test_joint_stops_are_hard_for_any_ground():
@@ -165,7 +165,7 @@ def test_joint_deflects_by_load_over_stiffness(joint):
     model, data = built(spring_strengths=[1e-9] * 12, neck_stiffening=0.0)
     model.opt.gravity[:] = 0
     data.qpos[2] = 1.0
-    rest = {"axial1": 4 * 14.5 * (0.026 + 0.008 - 0.0222) / 500}.get(joint, 0.0)  # moulded longer
+    rest = {"axial1": 4 * 14.5 * (0.026 + 0.008 - 0.0222) / 500}.get(joint, 0.0)  # neutral point
     load, stiffness = {"neck1": (1e-3, 6e-3), "bend1": (1e-3, 12e-3), "axial1": (-0.5, 500)}[joint]
     data.qfrc_applied[model.joint(joint).dofadr[0]] = load
     step(model, data, 4.0)
@@ -196,7 +196,7 @@ def test_springs_do_not_affect_free_fall():
 @pytest.mark.parametrize("share", [0.7, 1.3])
 def test_feet_stick_below_the_friction_angle_and_slide_above(share):
     friction = 0.4
-    # Stiff and damped: a block on a slope.
+    # The robot is stiff and damped, so it acts like a block on a slope.
     model, data = built(friction=friction, neck_stiffness_n_m_rad=1.0, neck_damping_n_m_s_rad=0.01)
     step(model, data, 0.5)
     before = data.subtree_com[1, 0]
@@ -315,7 +315,7 @@ def test_every_segment_uses_its_own_morphology():
         assert model.geom(f"shell{2 * number}").size.tolist() == [long, high, high]
         left, right = (data.geom(f"foot{number}_{side}").xpos for side in ("left", "right"))
         assert left[1] - right[1] == pytest.approx(segment.leg_separation_m)
-        # Straight, all of them stand on their feet, the axis 2R above the ground.
+        # All segments of the straight robot stand on their feet, with the axis 2R above the ground.
         assert left[2] == pytest.approx(0.002)
         assert data.body(f"element{2 * number}").xpos[2] == pytest.approx(2 * segment.segment_radius_m)
         first, second = (data.body(e.name).xpos for e in elements)
@@ -332,8 +332,8 @@ def test_every_segment_uses_its_own_morphology():
 
 
 def test_different_segments_keep_their_length_when_cold():
-    # The pre-tension of the springs, worth 1.5 mm, is taken up by the neutral point; springs that run
-    # askew bend the body a little.
+    # The neutral point offsets the pre-tension of the springs, about 1.5 mm. Oblique springs bend the
+    # body a little.
     rng = np.random.default_rng(4)
     body = tuple(Morphology.from_unit(unit) for unit in rng.random((4, 8)))
     model, data = built(body)
@@ -391,7 +391,7 @@ def arrays(part):
     ],
     ids=["default", "two", "seven", "unlike", "numerics"],
 )
-def test_xml_compiles_to_the_same_bits(body, physics):
+def test_xml_compiles_to_a_bitwise_identical_model(body, physics):
     model = build_model(body, physics)
     read = mujoco.MjModel.from_xml_string(model_xml(body, physics))
     for part, same in ((model, read), (model.opt, read.opt), (model.stat, read.stat)):

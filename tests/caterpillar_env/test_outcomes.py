@@ -13,7 +13,7 @@ from caterpillar_env.validation.robots import random_robots
 
 PERIOD_S = 2.0
 SHORT = Physics(num_segments=2)
-#: So stiff, and so coarsely stepped, that the integration breaks down at once.
+#: A stiffness and a timestep with which the integration diverges at once.
 BROKEN = Physics(
     num_segments=2, integrator="implicitfast", timestep_s=0.01,
     axial_stiffness_n_m=1e5, axial_damping_n_s_m=0.0,
@@ -100,7 +100,7 @@ def test_trace_holds_every_thermal_step():
 
 
 def test_diverged_robot_stops_at_once_with_finite_fitness(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # MuJoCo leaves its log where it runs
+    monkeypatch.chdir(tmp_path)  # MuJoCo logs its warning in the working directory
     result = simulate(*some(2), BROKEN, threads=1)
     assert result.failure.tolist() == [Failure.DIVERGED] * 2
     assert np.all(result.simulated_s < 30.0)

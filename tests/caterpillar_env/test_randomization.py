@@ -33,7 +33,7 @@ def arrays(model):
     return {n: getattr(model, n) for n in names if isinstance(getattr(model, n), np.ndarray)}
 
 
-# What a varied robot is
+# Effects of conditions
 
 
 def test_mass_factor_equals_a_heavier_body():
@@ -110,7 +110,7 @@ def test_samples_fill_their_ranges():
     strengths = np.array([c.strengths for c in samples])
     assert strengths.mean() == pytest.approx(1.0, abs=0.02)
     assert strengths.std() == pytest.approx(np.sqrt(0.2**2 / 3 + 0.4**2 / 12), rel=0.1)
-    # Whoever meets with little friction is no lighter, colder or weaker for it.
+    # The samples of different conditions are uncorrelated.
     together = np.corrcoef(
         [(c.friction, c.mass, c.ambient_c, np.mean(c.strengths)) for c in samples], rowvar=False
     )

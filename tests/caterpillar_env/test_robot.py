@@ -83,8 +83,8 @@ def test_a_damaged_file_gives_the_same_robot_or_an_error(individual, tmp_path):
             assert Robot.load(file).to_dict() == individual.to_dict()
         except CaterpillarError:
             refused += 1
-    assert refused > 250  # the others change spaces
-    # People may edit the file without its digest.
+    assert refused > 250  # the other changes affect only spaces
+    # A file without a digest may be edited.
     data = individual.to_dict() | {"fitness_m": 0.5}
     file.write_text(json.dumps(data))
     assert Robot.load(file).fitness_m == 0.5
@@ -228,7 +228,7 @@ def test_missing_file_and_empty_folder_are_rejected(tmp_path):
             Robot.load(path)
 
 
-def test_robot_of_a_genome_has_one_gait(individual):
+def test_robot_from_a_genome_has_unbatched_timings(individual):
     assert individual.timings.on_s.shape == (2,)
     assert isinstance(individual.timings, GaitTimings)
 

@@ -30,7 +30,7 @@ def now(simulation):
 
 
 def some_power(rows, steps, seed=0):
-    """Return random on-off power in intervals of 0.1 s, for springs of many temperatures."""
+    """Return random on-off power in intervals of 0.1 s, so that springs reach many temperatures."""
     pieces = np.random.default_rng(seed).random((rows, -(-steps // 10), 12)) < 0.6
     return np.repeat(pieces, 10, axis=1)[:, :steps].astype(float)
 
@@ -193,7 +193,7 @@ def test_derived_state_is_one_physics_step_older_than_the_joints():
     # The centre of mass moves with the velocity of the next step.
     simulation.place(data.qpos[None], qvel=data.qvel[None])
     mass = simulation.models[0].body_mass[1:]
-    assert np.ptp(mass) == 0  # so that the mean of the elements is that of the mass
+    assert np.ptp(mass) == 0  # so the mean over elements is the mean over mass
     np.testing.assert_allclose(moved_m, simulation.state().velocity[0, :3] * 0.0025, atol=2e-6)
 
 
@@ -260,7 +260,7 @@ def test_temperatures_do_not_depend_on_the_physics_timestep():
 def test_actuators_get_the_mean_fraction_of_each_physics_step():
     simulation = started([SMALL], timestep_s=0.005)
     heating = simulation.heat(np.ones((1, 200, 12)))
-    after = heating.springs.path.fraction[:, 0]  # of each thermal step
+    after = heating.springs.path.fraction[:, 0]  # after each thermal step
     before = np.concatenate([np.zeros((1, 12)), after[:-1]])
     assert heating.control.shape == (1, 400, 12)
     assert np.ptp(after) > 0.5

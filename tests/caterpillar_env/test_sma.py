@@ -17,7 +17,7 @@ from caterpillar_env.sma import BOUNDS, SmaState, advance, cooling_branch, heati
 NITI = SmaSpring()
 STEP_S = 0.01
 
-# Of a metre of the default wire, from its data.
+# Values per metre of the default wire, computed from its data.
 AREA_M2 = math.pi * 0.15e-3**2 / 4
 MASS_KG_M = 6450 * AREA_M2
 OHM_M = 0.98e-6 / AREA_M2

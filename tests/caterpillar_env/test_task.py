@@ -181,7 +181,7 @@ def test_robots_continue_after_a_failure_without_stop_on_failure():
     assert robots.failure.tolist() == [Failure.JUMPED]
     pose(robots, 0, [0, 1, 0, 0], 0.012)
     robots.run(off(1, 2))
-    assert robots.failure.tolist() == [Failure.JUMPED]  # the first one stays
+    assert robots.failure.tolist() == [Failure.JUMPED]  # the first failure stays
 
 
 def test_reset_clears_failure_and_progress():

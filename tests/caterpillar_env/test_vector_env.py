@@ -18,7 +18,7 @@ BODIES = [
 
 
 def switch_envs(rows=ROWS, **kwargs):
-    """Return rows at the start of episodes of two steps of 0.5 s."""
+    """Return environments at the start of episodes with two steps of 0.5 s each."""
     kwargs = {"action_mode": "switch", "action_repeat": 5, "episode_s": 1.0, "threads": 1, **kwargs}
     envs = CaterpillarVectorEnv(rows, **kwargs)
     envs.reset(seed=0)
@@ -352,7 +352,7 @@ def test_unknown_option_error_lists_the_known_options():
 
 
 def test_number_of_seeds_must_equal_number_of_rows():
-    with pytest.raises(CaterpillarError, match=r"3 of them; got \[1, 2\]"):
+    with pytest.raises(CaterpillarError, match=r"a list of 3 integers; got \[1, 2\]"):
         switch_envs().reset(seed=[1, 2])
 
 

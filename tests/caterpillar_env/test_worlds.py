@@ -91,8 +91,8 @@ def test_rough_ground_has_its_amplitude_and_ends_level():
 
 
 @pytest.mark.parametrize("text", UNEVEN)
-def test_surface_is_that_of_the_model(text):
-    """Rays that MuJoCo sends down end where `surface` says, and its normals are the slope there."""
+def test_surface_matches_the_model(text):
+    """Downward rays in MuJoCo end at the heights of `surface`, and its normals match the slope."""
     world = World.of(text)
     model = build_model(Morphology(), Physics(world=world))
     data = mujoco.MjData(model)
@@ -199,7 +199,7 @@ def test_sampled_friction_scales_tiles():
 
 
 @pytest.mark.parametrize("text", ["slope", "rough", "patches"])
-def test_rows_and_threads_do_not_matter(text):
+def test_results_do_not_depend_on_other_rows_or_threads(text):
     bodies, timings = stack(evolved_robots(3))
     physics = Physics(world=text)
     together = simulate(bodies, timings, physics, threads=2, duration_s=2.0)

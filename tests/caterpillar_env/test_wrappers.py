@@ -11,7 +11,7 @@ from caterpillar_env.wrappers.vector import RecordVideo as RecordVectorVideo
 
 pytestmark = [
     pytest.mark.drawing,
-    pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning"),  # of imageio_ffmpeg
+    pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning"),  # from imageio_ffmpeg
     pytest.mark.filterwarnings("ignore:.*Overwriting existing videos"),
     pytest.mark.filterwarnings("ignore:.*autoreset mode is same-step"),
 ]
@@ -72,7 +72,7 @@ def test_given_frame_rate_sets_the_speed(tmp_path):
 
 
 @pytest.mark.parametrize("mode", ["rgb_array", "rgb_array_list"])
-def test_frames_are_those_of_short_steps(mode, tmp_path):
+def test_frames_equal_those_of_steps_of_one_interval(mode, tmp_path):
     """In switch mode with all springs on, Gymnasium's own frames are the reference."""
     long = RecordVideo(make("CaterpillarSMASwitch-v0", mode, action_repeat=STEP), tmp_path)
     short = RenderCollection(make("CaterpillarSMASwitch-v0"))

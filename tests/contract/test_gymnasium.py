@@ -1,4 +1,4 @@
-"""What Gymnasium asks of every environment."""
+"""The requirements of Gymnasium for every environment."""
 
 import json
 import subprocess
@@ -36,11 +36,11 @@ def made(env_id, **kwargs):
     ],
     ids=["default", "single_springs", "three_segments", "noise", "body"],
 )
-def test_check_env_has_nothing_to_say(env_id, kwargs):
+def test_check_env_passes_without_warnings(env_id, kwargs):
     check_env(made(env_id, **kwargs).unwrapped, skip_render_check=True)
 
 
-def test_check_env_has_nothing_to_say_of_the_pictures():
+def test_check_env_passes_with_rendering():
     check_env(made(IDS[1], width=64, height=48).unwrapped)
 
 
@@ -60,7 +60,7 @@ def test_importing_the_package_again_registers_nothing_twice():
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_spec_comes_back_from_json(env_id):
+def test_spec_round_trips_through_json(env_id):
     kwargs = {
         "morphology": SMALL.to_dict(),
         "physics": {"friction": 0.6, "spring": {"ambient_c": 20.0}},
@@ -93,7 +93,7 @@ def test_make_vec_uses_the_native_vector_environment(env_id):
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_vectors_of_gymnasium_agree_with_the_native_one(env_id):
+def test_gymnasium_sync_vector_env_agrees_with_the_native_one(env_id):
     native = gymnasium.make_vec(env_id, 2, reset_noise_scale=0.02, **QUICK)
     copies = gymnasium.make_vec(env_id, 2, vectorization_mode="sync", reset_noise_scale=0.02, **QUICK)
     native.action_space.seed(0)
@@ -108,7 +108,7 @@ def test_vectors_of_gymnasium_agree_with_the_native_one(env_id):
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_types_are_those_of_python(env_id):
+def test_step_and_info_values_have_python_types(env_id):
     env = made(env_id).unwrapped
     observation, info = env.reset(seed=0)
     assert observation.dtype == np.float32
@@ -122,7 +122,7 @@ def test_types_are_those_of_python(env_id):
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_arrays_are_fresh(env_id):
+def test_step_returns_a_new_array(env_id):
     env = made(env_id).unwrapped
     first, _ = env.reset(seed=0)
     kept = first.copy()
@@ -134,7 +134,7 @@ def test_arrays_are_fresh(env_id):
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_action_is_left_alone(env_id):
+def test_step_does_not_modify_the_action(env_id):
     env = made(env_id)
     env.reset(seed=0)
     action = env.action_space.sample()
@@ -173,7 +173,7 @@ def test_body_stays_through_the_autoreset_of_a_wrapper(env_id):
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_seed_decides_the_noise(env_id):
+def test_seed_determines_the_noise(env_id):
     env = made(env_id, reset_noise_scale=0.02)
     first, _ = env.reset(seed=1)
     second, _ = env.reset()
@@ -185,7 +185,7 @@ def test_seed_decides_the_noise(env_id):
 
 @pytest.mark.parametrize("env_id", IDS)
 def test_no_entry_of_an_observation_is_constant(env_id):
-    """Every named sense says something about some robot at some time."""
+    """Every entry differs between some robots or times."""
     rng = np.random.default_rng(0)
     bodies = [Morphology.from_unit(u) for u in rng.random((5, 8))]
     kwargs = {"gait_period_s": 1.5, "action_repeat": 7, "autoreset_mode": "SameStep", "threads": 1}
@@ -210,12 +210,12 @@ def test_every_entry_of_an_observation_has_a_name(env_id, segments):
     assert len(env.observation_names) == env.observation_space.shape[0] == env.reset()[0].shape[0]
 
 
-def test_environments_have_no_member_that_goal_libraries_would_take_for_theirs():
+def test_environments_do_not_define_compute_reward():
     for name in ("CaterpillarEnv", "CaterpillarVectorEnv"):
         assert not hasattr(getattr(caterpillar_env, name), "compute_reward")
 
 
-def test_public_names_are_there():
+def test_public_names_can_be_imported():
     for name in set(caterpillar_env.__all__) - {"PARAMETERS"}:
         assert getattr(caterpillar_env, name).__name__ == name
     assert caterpillar_env.PARAMETERS[0].name == "leg_separation_m"

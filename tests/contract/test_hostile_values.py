@@ -1,4 +1,4 @@
-"""Every invalid value gets a `CaterpillarError` of one line, wherever it is given."""
+"""Every invalid value raises a one-line `CaterpillarError`, wherever it is given."""
 
 import copy
 import json
@@ -116,7 +116,7 @@ def test_tables_of_studies():
 @pytest.mark.parametrize(
     "name", ["../up", "a/b", "/etc", "", ".hidden", "a b", "<b>", "a'; DROP TABLE run", "x" * 300]
 )
-def test_names_of_arms_stay_in_their_folder(name):
+def test_arm_names_that_are_unsafe_as_folder_names_are_rejected(name):
     with pytest.raises(CaterpillarError, match="the name of an arm is used for a folder"):
         StudyConfig.from_dict(STUDY | {"arms": {"ga-uniform": {}, name: {}}})
 
@@ -213,7 +213,7 @@ def test_outcomes_are_finite_at_the_bounds_of_the_physics(seed):
     assert np.isfinite(outcomes[1:]).all()
 
 
-def test_numbers_that_json_cannot_write_become_pythons():
+def test_numpy_numbers_become_python_numbers():
     config = RunConfig(seed=np.int64(3), target_m=np.float32(0.5), ga=GaConfig(population=np.int8(6)))
     assert json.loads(json.dumps(config.to_dict()))["ga"]["population"] == 6
     assert type(config.seed) is int

@@ -38,11 +38,11 @@ def crawled(rows, threads=1, duration_s=DURATION_S):
 
 @pytest.fixture(scope="module")
 def reference():
-    """All three robots side by side."""
+    """Outcome and poses of the three robots, simulated together."""
     return crawled([0, 1, 2])
 
 
-def test_robots_do_move(reference):
+def test_robots_move(reference):
     _, poses = reference
     assert poses.shape == (3, 400, 18)
     assert (np.ptp(poses[:, :, 7:], axis=1).max(axis=1) > 0.2).all()
@@ -64,7 +64,7 @@ def test_single_environment_repeats_the_fitness_run(reference, row):
 @pytest.mark.parametrize("threads", [1, 2])
 def test_rows_of_the_vector_environment_repeat_the_fitness_run(reference, threads):
     outcome, poses = reference
-    order = [2, 0, 1]  # in other places
+    order = [2, 0, 1]  # in another order
     bodies = np.stack([BODIES[r].to_array() for r in order])
     envs = gymnasium.make_vec("CaterpillarSMA-v0", 3, morphology=bodies, threads=threads, **KWARGS)
     envs.reset(seed=0)
@@ -76,7 +76,7 @@ def test_rows_of_the_vector_environment_repeat_the_fitness_run(reference, thread
     np.testing.assert_array_equal(info["distance"], outcome.distance_m[order])
 
 
-def test_switching_by_hand_repeats_a_gait():
+def test_switch_actions_reproduce_a_gait():
     """A gait whose times fall on control intervals is also a sequence of switch actions."""
     period_s = 3.2  # its sixteenths are exact in a float32 action
     timings = GaitTimings(
@@ -93,7 +93,7 @@ def test_switching_by_hand_repeats_a_gait():
         *_, other = switched.step(interval)
     assert one["time_s"] == other["time_s"] == 3.2
     assert one["energy_j"] == pytest.approx(other["energy_j"], rel=1e-9)
-    # Springs only: shares of 1 - 1e-16 for 1 are enough to part two trajectories in their last bits.
+    # Only the springs are compared: a share of 1 - 1e-16 instead of 1 changes a trajectory slightly.
     timed_end, switched_end = (e.unwrapped.crawl.simulation.state() for e in (timed, switched))
     assert timed_end.fraction.max() > 0.5
     np.testing.assert_allclose(timed_end.fraction, switched_end.fraction, atol=1e-9)
@@ -101,27 +101,27 @@ def test_switching_by_hand_repeats_a_gait():
 
 
 @pytest.mark.parametrize("row", range(3))
-def test_neighbours_do_not_matter(reference, row):
+def test_results_do_not_depend_on_the_other_rows(reference, row):
     _, poses = reference
     alone_outcome, alone = crawled([row])
     np.testing.assert_array_equal(alone[0], poses[row])
     assert alone_outcome.distance_m[0] == reference[0].distance_m[row]
 
 
-def test_place_does_not_matter(reference):
+def test_results_do_not_depend_on_the_row_index(reference):
     _, poses = crawled([1, 2, 0, 1])
     np.testing.assert_array_equal(poses, reference[1][[1, 2, 0, 1]])
 
 
-def test_threads_do_not_matter(reference):
+def test_results_do_not_depend_on_the_number_of_threads(reference):
     outcome, poses = crawled([0, 1, 2], threads=2)
     np.testing.assert_array_equal(poses, reference[1])
     for one, other in zip(outcome, reference[0], strict=True):
         np.testing.assert_array_equal(one, other)
 
 
-def test_fitness_is_what_the_environment_reports():
-    """The whole episode, from genome to fitness."""
+def test_fitness_equals_the_distance_reported_by_the_environment():
+    """Compare a full episode, from genome to fitness."""
     outcome = evaluate(GENOMES[:1], ENCODING, threads=1)
     env = gymnasium.make("CaterpillarSMA-v0", morphology=BODIES[0].to_dict(), gait_period_s=PERIOD_S)
     env.reset(seed=0)

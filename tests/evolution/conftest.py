@@ -7,7 +7,7 @@ from evolution.run.evaluators import LocalEvaluator, Result
 
 
 class Invented(LocalEvaluator):
-    """An evaluator that invents the outcome of each genome, always the same, and simulates nothing."""
+    """An evaluator that makes up a deterministic outcome for each genome instead of simulating it."""
 
     def map(self, encoding, jobs, on_progress=None):
         for job in jobs:
@@ -20,5 +20,5 @@ class Invented(LocalEvaluator):
 
 @pytest.fixture(scope="session")
 def invented():
-    """For tests of what surrounds a simulation: the optimizer, the record, and the order of events."""
+    """For tests of the optimizer, the record and the order of events, without simulations."""
     return Invented()

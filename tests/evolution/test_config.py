@@ -16,7 +16,7 @@ from evolution.priors.distributions import ClippedGaussian, Uniform
 from evolution.priors.gait import advance
 
 
-def test_default_run_is_the_papers():
+def test_default_configuration_matches_the_paper():
     config = RunConfig()
     assert (config.generations, config.ga.population, config.ga.hall_of_fame) == (50, 200, 10)
     assert (config.prior, config.floor_ratio) == ("body", 3.0)
@@ -49,7 +49,7 @@ def test_optimizer_gets_the_prior_for_initialization_or_mutation(use, informed):
     asked = [optimizer.ask()]
     optimizer.tell(asked[0], np.ones(300))
     asked.append(optimizer.ask())
-    means = [genomes[:, 0].mean() for genomes in asked]  # leg separation, better wide
+    means = [genomes[:, 0].mean() for genomes in asked]  # leg separation; its prior peaks at 1
     assert means[informed] > 0.58
     assert means[1 - informed] == pytest.approx(0.5, abs=0.06)
 
@@ -92,7 +92,7 @@ def test_name_selects_the_optimizer():
     assert isinstance(RunConfig(optimizer="shade").make_optimizer(), Shade)
 
 
-def test_configurations_of_earlier_versions_mean_flat_ground():
+def test_configurations_without_a_world_have_flat_ground():
     data = RunConfig(seed=3).to_dict()
     assert data["physics"].pop("world") == {"kind": "flat"}
     assert RunConfig.from_dict(data) == RunConfig(seed=3)
@@ -108,7 +108,7 @@ def test_candidates_of_shade_are_chosen_by_their_advance():
     assert np.median(many) > np.quantile(one, 0.75)
 
 
-def test_configuration_survives_json():
+def test_configuration_round_trips_through_json():
     cma, physics = CmaConfig(cma_population=9), Physics(num_segments=2)
     config = RunConfig(optimizer="cma-es", prior="uniform", cma=cma, physics=physics)
     assert RunConfig.from_dict(config.to_dict()) == config
@@ -155,7 +155,7 @@ def test_configuration_survives_json():
     ],
     ids=str,
 )
-def test_unusable_settings_are_refused_in_one_line(settings, message):
+def test_invalid_settings_raise_a_one_line_error(settings, message):
     with pytest.raises(CaterpillarError, match=message) as refused:
         RunConfig(**settings)
     assert "\n" not in str(refused.value)
@@ -165,7 +165,7 @@ def first_population(**settings):
     return RunConfig(**settings).make_optimizer().ask()
 
 
-def test_seed_changes_the_genomes_and_not_the_robot():
+def test_seed_changes_the_genomes_but_not_the_robot():
     assert not np.array_equal(first_population(seed=0), first_population(seed=1))
     one, two = RunConfig(seed=0).physics.strengths(), RunConfig(seed=1).physics.strengths()
     assert one.tolist() == two.tolist()
@@ -177,6 +177,6 @@ def test_arms_with_the_same_seed_draw_the_same_uniform_genes():
     peaked = [0, 1, 2, 5, 6, 7]
     np.testing.assert_array_equal(prepared[:, free], uniform[:, free])
     assert not np.any(prepared[:, peaked] == uniform[:, peaked])
-    # One uniform number a draw: the peaked genes are the same quantiles of another distribution.
+    # Each draw uses one uniform number: peaked genes are equal quantiles of another distribution.
     order = np.argsort(uniform[:, 0])
     assert np.all(np.diff(prepared[order, 0]) > 0)

@@ -15,7 +15,7 @@ from evolution.genome import Encoding
 PERIOD_S = 3.0
 
 unit_genomes = hnp.arrays(np.float64, (3, 20), elements=st.floats(0.0, 1.0))
-# Next to a half a float32 action holds more digits than the time in seconds can give back.
+# Near a gene of 0.5 (an action of 0), float32 actions resolve finer steps than times in seconds.
 actions_apart_from_zero = hnp.arrays(
     np.float64, (3, 20), elements=st.floats(0.0, 1.0).filter(lambda g: abs(g - 0.5) > 1e-5)
 )
@@ -36,7 +36,7 @@ def test_every_gap_adds_four_control_genes(num_segments, expected):
     assert len(Encoding(Physics(num_segments), PERIOD_S).genes) == expected
 
 
-def test_gene_bounds_are_those_of_body_and_period():
+def test_gene_bounds_match_the_body_and_the_period():
     table = Encoding(Physics(), 2.5).genes
     assert [g.lower for g in table[:8]] == LOWER.tolist()
     assert [g.upper for g in table[:8]] == UPPER.tolist()
@@ -51,7 +51,7 @@ def test_zero_and_one_decode_to_the_bounds():
     assert timings.off_s.tolist() == [[0.0] * 6, [PERIOD_S] * 6]
 
 
-def test_each_gene_lands_in_its_own_place():
+def test_each_gene_sets_its_own_parameter():
     genome = np.zeros(20)
     genome[0] = 0.5  # w: half way from 8 to 24 mm
     genome[3] = 0.25  # m: a quarter of the way from 4 to 12 g
@@ -77,7 +77,7 @@ def test_any_genome_decodes_within_bounds(genomes):
 
 @settings(deadline=None)
 @given(unit_genomes)
-def test_body_survives_the_way_back_to_the_unit_cube(genomes):
+def test_to_unit_inverts_the_decoding_of_a_body(genomes):
     bodies, _ = Encoding(Physics(), PERIOD_S).decode(genomes)
     for body, genome in zip(bodies, genomes, strict=True):
         np.testing.assert_allclose(body.to_unit(), genome[:8], atol=1e-12)
@@ -85,7 +85,7 @@ def test_body_survives_the_way_back_to_the_unit_cube(genomes):
 
 @settings(deadline=None, max_examples=50)
 @given(actions_apart_from_zero, st.sampled_from([0.7, 2.0, 3.0, 4.0]))
-def test_timings_survive_the_way_through_the_environments_action(genomes, period_s):
+def test_timings_round_trip_through_the_environment_action(genomes, period_s):
     _, timings = Encoding(Physics(), period_s).decode(genomes)
     action = timings.to_action()
     assert action.dtype == np.float32
@@ -117,32 +117,32 @@ def test_single_genome_is_a_population_of_one():
     assert (robot.physics, robot.fitness_m) == (encoding.physics, 0.1)
 
 
-def test_no_genomes_decode_to_no_robots():
+def test_empty_population_decodes_to_no_robots():
     bodies, timings = Encoding(Physics(), PERIOD_S).decode(np.empty((0, 20)))
     assert bodies == []
     assert timings.on_s.shape == (0, 6)
 
 
-def test_decoding_leaves_the_genomes_alone():
+def test_decoding_does_not_modify_the_genomes():
     genomes = np.full((2, 20), 0.3)
     Encoding(Physics(), PERIOD_S).decode(genomes)
     assert np.all(genomes == 0.3)
 
 
-def test_nominal_body_is_reached_from_its_unit_values():
+def test_unit_values_of_the_nominal_body_decode_to_it():
     genome = np.concatenate([Morphology().to_unit(), np.zeros(12)])
     bodies, _ = Encoding(Physics(), PERIOD_S).decode(genome[None])
     np.testing.assert_allclose(bodies[0].to_array(), Morphology().to_array(), rtol=1e-12)
 
 
 @pytest.mark.parametrize("shape", [(19,), (2, 19), (2, 21), (1, 2, 20), ()])
-def test_wrong_shape_is_refused_and_both_shapes_named(shape):
+def test_error_for_a_wrong_shape_names_both_shapes(shape):
     with pytest.raises(CaterpillarError, match=r"shape \(20,\) or \(P, 20\); got \("):
         Encoding(Physics(), PERIOD_S).decode(np.zeros(shape))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1e-12, 1 + 1e-12, 7.0])
-def test_value_outside_the_unit_interval_is_refused_and_located(value):
+def test_error_for_a_value_outside_the_unit_interval_names_the_gene(value):
     genomes = np.full((3, 20), 0.5)
     genomes[2, 11] = value
     with pytest.raises(CaterpillarError, match="gene 11 of genome 2"):
@@ -159,7 +159,7 @@ def test_unusable_encoding_is_refused():
 # Other kinds of genome
 
 
-def test_full_genome_times_every_spring():
+def test_full_genome_has_timing_genes_for_every_spring():
     table = Encoding(Physics(), PERIOD_S, "full").genes
     assert len(table) == 32
     assert [g.name for g in table[8:12]] == [
@@ -221,7 +221,7 @@ def test_wave_genome_has_four_gait_genes_for_any_number_of_segments():
         ("per-segment", "phase", 44), ("per-segment", "wave", 36),
     ],
 )  # fmt: skip
-def test_every_kind_of_body_goes_with_every_timing(kind, timing, count):
+def test_every_genome_kind_works_with_every_timing(kind, timing, count):
     encoding = Encoding(kind=kind, timing=timing)
     assert len(encoding.genes) == count
     bodies, timings = encoding.decode(np.full((2, count), 0.4))
@@ -252,7 +252,7 @@ def test_wave_is_the_phase_genome_with_equal_delays_and_duties():
     np.testing.assert_array_equal(one.off_s, other.off_s)
 
 
-def test_right_springs_follow_left_ones_by_their_own_delay():
+def test_right_springs_follow_left_springs_by_their_own_delay():
     encoding = Encoding(Physics(2), kind="full", timing="phase", gait_period_s=10.0)
     genome = np.full(16, 0.5)
     genome[8::2] = [0.1, 0.2, 0.3, 0.0]  # dorsal left, dorsal right, ventral left, ventral right

@@ -25,4 +25,4 @@ def test_the_best_robot_crawled_forwards_without_failing():
     assert find_best(OBJECTIVES["distance-per-energy"], outcomes) == (3, 0.3)
     backwards = outcomes.rows(slice(2))
     assert find_best(OBJECTIVES["distance"], backwards) is None
-    assert find_best(lambda o: -o.distance_m, backwards) == (1, 0.1)  # what counts is the user's choice
+    assert find_best(lambda o: -o.distance_m, backwards) == (1, 0.1)  # a custom objective may prefer it

@@ -7,5 +7,5 @@ from caterpillar_env import Physics
 
 @pytest.fixture
 def coarse(monkeypatch):
-    """The timestep is 10 ms where code does not set it: a simulation takes a third of the time."""
+    """Set the default timestep to 10 ms, so that a simulation takes a third of the time."""
     monkeypatch.setattr(Physics, "__init__", partialmethod(Physics.__init__, timestep_s=0.01))

@@ -1,4 +1,4 @@
-"""The script of all checks runs each of them, and fails if one of them does."""
+"""The script of all checks runs each check, and fails if a check fails."""
 
 import os
 import subprocess
@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).parents[2]
-#: In place of every program: notes its call, fails where it is told to.
+#: Stub for every program. It records its call, and fails if the call contains $BROKEN.
 STUB = """#!/bin/sh
 call="$(basename "$0") $*"
 echo "$call" >> "$CALLS"
@@ -29,7 +29,7 @@ STEPS = [
 
 @pytest.fixture
 def ci(tmp_path):
-    """Runs the script in a folder in which every program but the shell's own is a stub."""
+    """Return a function that runs the script with stubs for the programs that it calls."""
     for folder in (".ci", "bin", "tests/packaging"):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / ".ci" / "run").write_text((ROOT / ".ci" / "run").read_text("utf-8"))
@@ -56,22 +56,22 @@ def ci(tmp_path):
     return run
 
 
-def test_every_check_is_made(ci):
+def test_every_check_runs(ci):
     done, calls = ci("no such call")
     assert done.returncode == 0, done.stderr
     assert "== done" in done.stdout
     assert [step for step in STEPS if step not in calls] == []
-    assert "sudo -n apt-get install -y -qq libegl1" in calls  # `id` prints no 0, as for other users
+    assert "sudo -n apt-get install -y -qq libegl1" in calls  # the `id` stub does not print 0
 
 
-def test_checks_go_on_without_system_packages(ci):
+def test_checks_continue_without_system_packages(ci):
     done, _ = ci("apt-get update")
     assert done.returncode == 0, done.stderr
     assert "no EGL here: tests that draw are skipped" in done.stdout
 
 
 @pytest.mark.parametrize("step", STEPS)
-def test_a_check_that_fails_is_the_end(ci, step):
+def test_script_stops_at_a_failing_check(ci, step):
     done, calls = ci(step)
     assert done.returncode != 0
     assert "== done" not in done.stdout

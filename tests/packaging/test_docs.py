@@ -1,4 +1,4 @@
-"""The code blocks of the documentation run, its commands exist, and its links lead somewhere."""
+"""The code blocks of the documentation run, its commands exist, and its links resolve."""
 
 import ast
 import re
@@ -25,7 +25,7 @@ SHORT = {
 }
 
 
-#: Numbers of robots and seconds in the code of the pages, and what replaces them: the tests need fewer.
+#: Replacements in the code of the pages, so that the tests simulate fewer robots and seconds.
 FEWER = {"robots = 5.0, 24": "robots = 5.0, 2", "episode_s=10.0": "episode_s=5.0"}
 
 
@@ -64,9 +64,9 @@ def with_blocks(*languages):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # of the libraries that the pages show
+@pytest.mark.filterwarnings("default")  # libraries on the pages may warn
 @with_blocks("python", "sh")
-def test_page_can_be_followed(page, tmp_path, monkeypatch, coarse):
+def test_code_blocks_of_the_page_run(page, tmp_path, monkeypatch, coarse):
     monkeypatch.chdir(tmp_path)
     for number, block in enumerate(b for b in blocks(page) if not b.reason):
         if block.language == "python":
@@ -133,7 +133,7 @@ def anchors(page: Path) -> set[str]:
 
 
 @each(PAGES)
-def test_links_lead_somewhere(page):
+def test_links_resolve(page):
     targets = re.findall(r"\]\(([^)\s]+)\)", text_of(page))
     for target in targets:
         parts = urlsplit(target)

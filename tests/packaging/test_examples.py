@@ -17,7 +17,7 @@ from caterpillar_env.task import Failure
 ROOT = Path(__file__).parents[2]
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 WITH_OWN_TEST = {"crawl.py", "plain_mujoco.py"}
-#: Numbers of robots and steps in examples, and what replaces them: the tests need fewer.
+#: Replacements in the code of the examples, so that the tests simulate fewer robots and steps.
 FEWER = {
     "compare.py": ("SEEDS = (0, 1)", "SEEDS = (0,)"),
     "evolve.py": ("generations=3", "generations=2"),

@@ -1,4 +1,4 @@
-"""The page computes what Python computes, and does what a visitor asks for. It runs in Chromium.
+"""The page gives the same results as Python, and its controls work. It runs in Chromium.
 
 All tests are in one file, so that one process builds the page.
 """
@@ -64,7 +64,7 @@ def test_gaits_have_the_same_power(page):
         np.testing.assert_allclose(power, expected, atol=1e-12)
 
 
-def test_delays_and_duties_mean_the_same(page):
+def test_delays_and_duties_give_the_same_gait(page):
     gaits = draw_gaits(8, 3)
     for on_s, off_s, *expected in zip(gaits.on_s, gaits.off_s, *gaits.to_phases(), strict=True):
         phases = call(page, "toPhases", on_s.tolist(), off_s.tolist())
@@ -73,7 +73,7 @@ def test_delays_and_duties_mean_the_same(page):
         np.testing.assert_allclose([times["onS"], times["offS"]], [on_s, off_s], atol=1e-12)
 
 
-def test_genomes_of_waves_mean_the_same(page):
+def test_wave_genomes_give_the_same_robot(page):
     genomes = np.random.default_rng(4).random((8, 12))
     bodies, timings = Encoding(timing="wave").decode(genomes)
     for row, (genome, body) in enumerate(zip(genomes, bodies, strict=True)):

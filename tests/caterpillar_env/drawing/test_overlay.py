@@ -47,7 +47,7 @@ def test_legend_is_shown_only_beside_the_numbers(width):
     longest = annotate(frame, Readout(30.0, 0.196, 104.0), SPRING)
     columns = (longest[8:22] != 128).any(axis=(0, 2))
     panels = np.count_nonzero(np.diff(columns.astype(int)) == 1)  # each begins after a plain column
-    coloured = np.ptp(longest.astype(int), axis=2).max() > 100  # as only the legend is
+    coloured = np.ptp(longest.astype(int), axis=2).max() > 100  # only the legend is coloured
     assert (panels, coloured) == ((2, True) if width >= 320 else (1, False))
 
 
@@ -65,7 +65,7 @@ def test_numbers_have_units(monkeypatch):
         write(self, at, text, **look)
 
     monkeypatch.setattr(ImageDraw.ImageDraw, "text", record)
-    spring = SmaSpring(ambient_c=21.0)  # whose legend is not cached
+    spring = SmaSpring(ambient_c=21.0)  # its legend is not cached
     annotate(GREY, Readout(12.34, -0.0218, 45.6, "veered", "robot"), spring)
     assert written == [
         "springs", "21", "68", "120 °C",

@@ -145,7 +145,7 @@ def test_rgb_array_is_a_picture_that_changes_even_after_closing():
 
 def test_frame_rate_of_single_frames_is_the_step_rate():
     assert CaterpillarEnv(render_mode="rgb_array", gait_period_s=2.0).metadata["render_fps"] == 0.5
-    assert CaterpillarEnv.metadata["render_fps"] == 10  # of the class: untouched
+    assert CaterpillarEnv.metadata["render_fps"] == 10  # the class attribute is unchanged
 
 
 def test_new_body_is_drawn():
@@ -172,7 +172,7 @@ def test_vector_environment_draws_every_row():
     assert np.abs(again[0].astype(int) - frames[1]).max() < 10
 
 
-def test_without_a_mode_nothing_is_drawn():
+def test_nothing_is_drawn_without_a_render_mode():
     env = CaterpillarEnv()
     env.reset(seed=0)
     with pytest.warns(UserWarning, match="render_mode"):

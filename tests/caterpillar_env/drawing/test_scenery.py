@@ -57,7 +57,7 @@ def test_scenery_does_not_change_the_motion():
 def test_ruler_has_a_tick_per_centimetre_and_the_right_length():
     width, height, pixels = _ruler_picture()
     picture = np.frombuffer(pixels, dtype=np.uint8).reshape(height, width, 3)
-    dark = picture[height // 8, :, 0] < 100  # above the numbers, where all ticks are
+    dark = picture[height // 8, :, 0] < 100  # all ticks cross this row above the numbers
     ticks = np.flatnonzero(dark[1:] & ~dark[:-1])[:-1]  # the last one is the edge
     np.testing.assert_allclose(np.diff(ticks), _PIXELS_PER_CM, atol=1)
     assert len(ticks) == _RULER_CM[1] - _RULER_CM[0] - 1

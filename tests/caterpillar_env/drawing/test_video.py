@@ -21,7 +21,7 @@ from caterpillar_env.task import Failure
 
 pytestmark = [
     pytest.mark.drawing,
-    # imageio-ffmpeg closes neither the pipes of readers nor those of failed writers.
+    # imageio-ffmpeg leaves the pipes of readers and of failed writers open.
     pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning"),
 ]
 
@@ -69,7 +69,7 @@ def open_view(recording, width, height, camera, view_length_m):
 # Recordings
 
 
-def test_recording_is_the_robot_that_was_evaluated(recording):
+def test_recording_repeats_the_evaluation(recording):
     plain = make_robot().simulate(threads=1)
     for traced, value in zip(recording.outcomes, plain, strict=True):
         np.testing.assert_array_equal(traced, value)
@@ -184,7 +184,7 @@ def test_webp_repeats_at_the_same_speed_and_is_smaller_than_a_gif(recording, tmp
 
 
 @pytest.mark.slow
-def test_tiles_lie_side_by_side_and_keep_time(recording, long_and_failed, tmp_path):
+def test_tiles_are_side_by_side_and_synchronized(recording, long_and_failed, tmp_path):
     config = VideoConfig(speed=300.0, width=202, height=76)
     write_video([recording, long_and_failed], tmp_path / "two.mp4", config)
     _, frames = read_frames(tmp_path / "two.mp4")
@@ -273,13 +273,13 @@ def test_unknown_file_types_are_rejected(recording):
         write_video([recording], Path("robot.avi"))
 
 
-def test_folder_that_cannot_be_written_is_an_error_and_leaves_nothing(recording, tmp_path):
+def test_unwritable_folder_is_rejected_and_leaves_no_file(recording, tmp_path):
     with pytest.raises(CaterpillarError, match="cannot write"):
         write_video([recording], tmp_path / "nowhere" / "robot.mp4", QUICK)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_machine_that_cannot_draw_leaves_nothing(recording, tmp_path, monkeypatch, caplog):
+def test_failed_rendering_leaves_no_file(recording, tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(rendering, "unavailable", "no device")
     with pytest.raises(RenderingError, match="no device"):
         write_video([recording], tmp_path / "robot.mp4", QUICK)
@@ -287,6 +287,6 @@ def test_machine_that_cannot_draw_leaves_nothing(recording, tmp_path, monkeypatc
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_pipe_is_no_video(tmp_path):
+def test_pipe_is_not_recognized_as_a_video(tmp_path):
     os.mkfifo(tmp_path / "best.mp4")
     assert not is_video_of(tmp_path / "best.mp4", make_robot())

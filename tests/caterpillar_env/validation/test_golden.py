@@ -12,7 +12,7 @@ def test_robots_move_as_recorded():
     assert not failed, golden.ADVICE
 
 
-def test_a_micrometre_and_a_different_failure_are_detected(tmp_path):
+def test_deviation_of_a_micrometre_and_a_different_failure_are_detected(tmp_path):
     data = json.loads(golden.FILE.read_text("utf-8"))
     data["trajectories"] = data["trajectories"][:2]
     data["trajectories"][0]["com_m"][4][0] += 1.1e-6

@@ -12,7 +12,7 @@ def test_every_check_passes(group):
     assert not failed
 
 
-def test_colder_branch_cools_later():
+def test_lower_martensite_temperatures_take_longer_to_reach():
     row = material.DYNALLOY[2]
     wire = material.straight_wire(row, high_temperature=True)
     colder = replace(wire, martensite_start_c=60.0, martensite_finish_c=50.0)

@@ -259,12 +259,12 @@ def test_interrupted_run_keeps_its_generations_and_prints_how_to_resume(tmp_path
     assert "stopped" in err
     assert "stopped; continue with: caterpillar resume run" in err
     generation = load(tmp_path / "run").table()["generation"].to_list()
-    later = len(generation) - 4  # after the first, three robots each
+    later = len(generation) - 4  # later generations have three robots each
     assert later % 3 == 0
     assert generation == [0] * 4 + [1 + i // 3 for i in range(later)]
 
 
-def test_machine_without_drawing_skips_only_the_video(tmp_path):
+def test_machine_that_cannot_draw_skips_only_the_video(tmp_path):
     process = subcommand(
         [*TINY, "--seed", "4", "--video", "--out", "run"],
         cwd=tmp_path, env={**os.environ, "MUJOCO_GL": "disabled"},

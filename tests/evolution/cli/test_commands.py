@@ -55,7 +55,7 @@ def elsewhere(tmp_path, monkeypatch):
 
 @pytest.fixture
 def without_page(monkeypatch):
-    """No page is written, which takes longer than the run."""
+    """Skip writing the page, which takes longer than the run."""
     monkeypatch.setattr(
         "evolution.report.run_page.write", lambda history, _: history.folder / "report.html"
     )

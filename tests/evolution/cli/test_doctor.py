@@ -50,7 +50,7 @@ def test_incomplete_extra_is_no_failure():
     ],
     ids=["crash", "error", "exit", "timeout"],
 )
-def test_failure_to_draw_is_a_finding(monkeypatch, tmp_path, body, problem):
+def test_failure_to_draw_is_reported_as_a_finding(monkeypatch, tmp_path, body, problem):
     # The process imports a module `doctor` that is first on its path, instead of the real one.
     (tmp_path / "evolution" / "cli").mkdir(parents=True)
     (tmp_path / "evolution" / "cli" / "doctor.py").write_text(

@@ -1,4 +1,4 @@
-"""Faults of the machine and damaged or hostile files: one clear line, or the right data."""
+"""Machine faults and damaged or hostile files give a one-line error or correct data."""
 
 import errno
 import html
@@ -60,7 +60,7 @@ def test_signals_end_a_run_as_ctrl_c_does(elsewhere, monkeypatch, capsys, number
 
 
 def test_ignored_signals_stay_ignored(monkeypatch):
-    """As under nohup."""
+    """nohup starts programs with SIGHUP ignored."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         assert (
@@ -70,7 +70,7 @@ def test_ignored_signals_stay_ignored(monkeypatch):
         signal.signal(signal.SIGHUP, before)
 
 
-def test_errors_of_the_system_are_one_line(capsys):
+def test_system_errors_print_one_line(capsys):
     def fail(_):
         raise PermissionError(errno.EACCES, "Permission denied", "secret")
 
@@ -78,7 +78,7 @@ def test_errors_of_the_system_are_one_line(capsys):
     assert capsys.readouterr().err == "caterpillar x: error: [Errno 13] Permission denied: 'secret'\n"
 
 
-def test_a_run_killed_before_its_journal_existed_starts_again(elsewhere, capsys):
+def test_a_run_killed_before_its_journal_existed_can_be_started_again(elsewhere, capsys):
     (elsewhere / "run").mkdir()
     for name in (f".{FILE}.partial", f".{FILE}.partial-journal", ".lock"):
         (elsewhere / "run" / name).write_text("partly")
@@ -89,7 +89,7 @@ def test_a_run_killed_before_its_journal_existed_starts_again(elsewhere, capsys)
     assert not (elsewhere / "run" / f".{FILE}.partial").exists()
 
 
-def test_a_full_disk_costs_only_what_was_not_written(run, elsewhere, monkeypatch, capsys):
+def test_resume_after_a_full_disk_equals_an_uninterrupted_run(run, elsewhere, monkeypatch, capsys):
     """best.json does not fit. The resumed run writes it, and is the same as the uninterrupted one."""
 
     def fill_disk(*_, **__):
@@ -107,7 +107,7 @@ def test_a_full_disk_costs_only_what_was_not_written(run, elsewhere, monkeypatch
     assert load("run").table().drop("session").equals(load(run).table().drop("session"))
 
 
-def test_one_bad_run_does_not_end_the_list_of_runs(run, elsewhere, capsys):
+def test_one_bad_run_does_not_stop_the_listing_of_runs(run, elsewhere, capsys):
     good = shutil.copytree(run, elsewhere / "runs" / "good")
     configurations = {
         "a": {"seed": 1, "luck": 2}, "b": {"kind": "training"}, "c": {"kind": [1]},
@@ -161,7 +161,7 @@ def test_every_command_detects_a_changed_digit_of_the_configuration(run, elsewhe
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet", "json", "mjcf"])
-def test_an_export_that_does_not_fit_keeps_the_file_before_it(run, elsewhere, monkeypatch, capsys, kind):
+def test_an_export_to_a_full_disk_keeps_the_existing_file(run, elsewhere, monkeypatch, capsys, kind):
     def fill_disk(path, data):
         path.write_text(str(data[:9]))
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -174,7 +174,7 @@ def test_an_export_that_does_not_fit_keeps_the_file_before_it(run, elsewhere, mo
     assert {path.name: path.read_text() for path in elsewhere.iterdir()} == {"table": "before"}
 
 
-def test_a_journal_that_cannot_be_created_advises_to_start_again(elsewhere, monkeypatch, capsys):
+def test_error_advises_a_new_start_if_the_journal_cannot_be_created(elsewhere, monkeypatch, capsys):
     def fill_disk(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -190,8 +190,8 @@ def test_a_journal_that_cannot_be_created_advises_to_start_again(elsewhere, monk
 @pytest.mark.parametrize(
     "name", ["<script>x", "$x^$", "'; DROP TABLE run;--", os.fsdecode(b"\xff\xfe"), "{{1}}%s"]
 )
-def test_names_of_folders_are_text_and_nothing_else(run, tmp_path, name):
-    """Neither HTML, nor formulas, SQL or templates."""
+def test_folder_names_are_treated_as_plain_text(run, tmp_path, name):
+    """Folder names are not interpreted as HTML, formulas, SQL or templates."""
     folder = shutil.copytree(run, tmp_path / name)
     text = run_page.write(load(folder)).read_text(encoding="utf-8")
     assert "<script>x" not in text
@@ -209,7 +209,7 @@ def test_an_export_to_a_pipe_does_not_replace_it(run, tmp_path):
 
 
 def test_pages_and_figures_replace_pipes(run, tmp_path):
-    """Writing to them would wait for a reader."""
+    """Writing to a pipe would wait for a reader."""
     folder = shutil.copytree(run, tmp_path / "run")
     for name in ("report.html", "convergence.png"):
         (folder / name).unlink()

@@ -59,7 +59,7 @@ def test_replay_prints_the_difference_from_the_record(still, capsys):
     assert "% of the recorded 0.02 m" in captured
 
 
-def test_replay_without_a_record_compares_with_nothing(still, here, capsys):
+def test_replay_without_a_recorded_fitness_makes_no_comparison(still, here, capsys):
     Robot(still.morphology, still.timings, still.physics).save(here / "still.json")
     assert cli.main(["replay", "still.json", "--no-video", "--json"]) == 0
     captured = json.loads(capsys.readouterr().out)
@@ -93,7 +93,7 @@ def test_replay_compares_on_a_machine_that_cannot_draw(still, here, capsys, monk
     assert [p.name for p in here.iterdir()] == ["still.json"]
 
 
-# Several
+# Several robots
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ def test_quick_validation_passes_and_writes_plots(tmp_path, capsys):
 
 
 def canned(monkeypatch, *, weight_n, golden_passes):
-    """Leave out the simulations and the plots, keep everything around them."""
+    """Replace the simulations and plots with fixed results."""
     nothing = np.zeros(4)
     outcomes = Outcomes(nothing.astype(np.int8), np.array([0.1, 0.2, 0.3, 0.4]), nothing, nothing)
     result = convergence.Comparison(*[convergence.Pair(outcomes, outcomes)] * 4)
@@ -58,13 +58,13 @@ def test_changed_golden_trajectories_come_with_advice(tmp_path, capsys, monkeypa
     assert golden.ADVICE in " ".join(capsys.readouterr().err.split())
 
 
-def test_all_passing_is_status_0(tmp_path, capsys, monkeypatch):
+def test_exit_status_is_0_if_all_checks_pass(tmp_path, capsys, monkeypatch):
     canned(monkeypatch, weight_n=0.5, golden_passes=True)
     assert cli.main(["validate", "--quick", "--out", str(tmp_path)]) == 0
     assert "FAIL" not in capsys.readouterr().out
 
 
-def test_file_at_the_path_of_the_folder_is_an_error(tmp_path, capsys):
+def test_a_file_as_the_output_folder_is_an_error(tmp_path, capsys):
     (tmp_path / "v").write_text("")
     assert cli.main(["validate", "--quick", "--out", str(tmp_path / "v")]) != 0
     assert "choose another place with --out" in " ".join(capsys.readouterr().err.split())

@@ -91,7 +91,7 @@ def test_without_viser_the_error_names_the_package_to_install(monkeypatch, capsy
         ({"timing": "phase"}, ["--timing", "on-off"], "on-off"),
     ],
 )
-def test_sliders_are_those_of_the_genes_of_the_run(tmp_path, monkeypatch, settings, arguments, expected):
+def test_sliders_match_the_timing_genes_of_the_run(tmp_path, monkeypatch, settings, arguments, expected):
     pytest.importorskip("viser")
     (tmp_path / "run").mkdir()
     with Journal.create(tmp_path / "run", RunConfig(prior="uniform", **settings).to_dict()):

@@ -30,12 +30,12 @@ def test_first_generation_follows_the_prior():
     assert spread[1] == pytest.approx(0.2, abs=0.03)
 
 
-def test_default_population_is_pycmas():
+def test_default_population_matches_pycma():
     assert started(genes=[Uniform()] * 20).ask().shape == (12, 20)  # 4 + 3 ln 20
 
 
-def test_same_seed_same_questions_and_numpys_generator_is_left_alone():
-    np.random.seed(1)  # noqa: NPY002  the global generator is just what is watched
+def test_same_seed_gives_same_genomes_and_keeps_numpys_global_state():
+    np.random.seed(1)  # noqa: NPY002  the test checks the global generator
     before = np.random.get_state()[1].tolist()  # noqa: NPY002
     one, two, other = asked(started(3), 30), asked(started(3), 30), asked(started(4), 30)
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
@@ -43,7 +43,7 @@ def test_same_seed_same_questions_and_numpys_generator_is_left_alone():
     assert np.random.get_state()[1].tolist() == before  # noqa: NPY002
 
 
-def test_a_converged_strategy_starts_anew_with_twice_the_population():
+def test_a_converged_search_restarts_with_twice_the_population():
     sizes = [len(g) for g in asked(started(cma_population=6), 400)]
     assert sizes[0] == 6
     assert set(sizes) > {6, 12}
@@ -51,7 +51,7 @@ def test_a_converged_strategy_starts_anew_with_twice_the_population():
     assert {len(g) for g in asked(started(cma_population=6, cma_restarts=False), 400)} == {6}
 
 
-def test_a_flat_beginning_does_not_stop_it():
+def test_equal_fitness_in_the_first_generations_causes_no_restart():
     genomes = asked(started(), 15, fitness_of=lambda g: np.zeros(len(g)))
     assert len({len(g) for g in genomes}) == 1
 
@@ -62,18 +62,18 @@ def test_unusable_settings_are_refused(settings):
         CmaConfig(**settings)
 
 
-def test_answers_to_other_questions_are_refused():
+def test_tell_rejects_other_genomes_and_non_finite_fitness():
     optimizer = started()
     genomes = optimizer.ask()
-    assert np.array_equal(optimizer.ask(), genomes)  # asked once more, the same question
+    assert np.array_equal(optimizer.ask(), genomes)  # ask repeats its genomes until tell
     with pytest.raises(CaterpillarError, match="exactly the genomes"):
         optimizer.tell(genomes[::-1], np.zeros(len(genomes)))
     with pytest.raises(CaterpillarError, match="finite"):
         optimizer.tell(genomes, np.full(len(genomes), np.nan))
 
 
-def test_circular_genes_pass_from_one_to_zero():
-    # The optimum at 0.95 is nearer to the start at 0.1 across the bound than through the range.
+def test_circular_genes_wrap_around():
+    # From the start at 0.1, the way to the optimum at 0.95 is shorter if it wraps around.
     genes = [WrappedGaussian.with_floor(0.1), ClippedGaussian.with_floor(0.5)]
     optimizer = CmaEs(genes, CmaConfig(), np.random.default_rng(0), [True, False])
 
@@ -83,4 +83,4 @@ def test_circular_genes_pass_from_one_to_zero():
     genomes = np.concatenate(asked(optimizer, 60, fitness_of))
     assert ((genomes >= 0) & (genomes <= 1)).all()
     assert optimizer.centre == pytest.approx([0.95, 0.3], abs=0.01)
-    assert genomes[:, 0].max() > 0.9  # some went round
+    assert genomes[:, 0].max() > 0.9  # some wrapped around

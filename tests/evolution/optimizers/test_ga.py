@@ -38,7 +38,7 @@ def ga(distributions=None, seed=0, **config):
 
 
 def generations(algorithm, fitness_of, count):
-    """Run the algorithm and give back what it asked for."""
+    """Run the algorithm and return the genomes of each generation."""
     asked = []
     for _ in range(count):
         genomes = algorithm.ask()
@@ -50,14 +50,14 @@ def generations(algorithm, fitness_of, count):
 # Selection
 
 
-def test_the_least_positive_fitness_is_selected_in_proportion_too():
+def test_lowest_positive_fitness_is_selected_in_proportion():
     copies = ga([Rank()], population=400, hall_of_fame=0, crossover_rate=0.0, mutation_rate=0.0)
     first = copies.ask()
     copies.tell(first, np.where(first[:, 0] < 0.5, 1.0, 3.0))
     assert np.mean(copies.ask() < 0.5) == pytest.approx(0.25, abs=0.06)
 
 
-def test_of_equal_genomes_the_first_are_the_elites():
+def test_ties_among_the_elites_go_to_the_first_genomes():
     copies = ga([Rank()], population=200, hall_of_fame=5, crossover_rate=0.0, mutation_rate=0.0)
     first = copies.ask()
     copies.tell(first, 1.0 + np.arange(200) % 2)
@@ -83,7 +83,7 @@ def test_equal_fitness_makes_all_genomes_equally_likely(value):
 
 @pytest.mark.parametrize("value", [5e-324, 1e-300, 1e-9, 1.0, 1e300, 1.7e308])
 @pytest.mark.parametrize("place", [0, 3, 6])
-def test_only_positive_fitness_is_always_chosen(value, place):
+def test_single_positive_fitness_is_always_selected(value, place):
     fitness = np.zeros(7)
     fitness[place] = value
     assert set(roulette(fitness, 500, np.random.default_rng(0)).tolist()) == {place}
@@ -97,7 +97,7 @@ def test_scale_of_fitness_does_not_matter(scale):
 
 
 @pytest.mark.parametrize("bad", [-1e-12, -1.0, np.nan, np.inf, -np.inf])
-def test_fitness_that_is_no_weight_is_refused(bad):
+def test_roulette_rejects_negative_or_non_finite_fitness(bad):
     with pytest.raises(CaterpillarError, match="finite and not negative"):
         roulette(np.array([1.0, bad, 2.0]), 3, np.random.default_rng(0))
 
@@ -107,7 +107,7 @@ def test_fitness_that_is_no_weight_is_refused(bad):
     fitness=st.lists(st.floats(0.0, 1.7e308), min_size=1, max_size=30).map(np.array),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_roulette_never_selects_genomes_without_fitness(fitness, seed):
+def test_roulette_never_selects_zero_fitness(fitness, seed):
     draws = roulette(fitness, 20, np.random.default_rng(seed))
     assert draws.shape == (20,)
     assert np.all((draws >= 0) & (draws < len(fitness)))
@@ -116,7 +116,7 @@ def test_roulette_never_selects_genomes_without_fitness(fitness, seed):
 
 
 class Always:
-    """A generator that draws one number for ever."""
+    """A generator that always draws the same number."""
 
     def __init__(self, value):
         self.value = value
@@ -134,7 +134,7 @@ def test_roulette_never_selects_zero_fitness_at_extreme_draws(draw, expected):
 # Ask and tell
 
 
-def test_hall_of_fame_is_not_asked_for_again():
+def test_ask_does_not_return_the_hall_of_fame_again():
     algorithm = ga(population=200, hall_of_fame=10)
     asked = generations(algorithm, lambda g: g[:, 0], 4)
     assert [len(genomes) for genomes in asked] == [200, 190, 190, 190]
@@ -146,8 +146,8 @@ def test_without_a_hall_of_fame_all_genomes_are_new():
 
 
 def test_hall_of_fame_survives_unchanged():
-    # One genome is worth something, and only in the first generation. Whoever still breeds from the
-    # roulette five generations on is that genome, unmutated; all children are its copies.
+    # Only one genome has positive fitness, and only in the first generation. Five generations later,
+    # the roulette still selects only this genome, so all children are copies of it.
     algorithm = ga(hall_of_fame=1, mutation_rate=0.0, elites_breed=True)
     first = algorithm.ask()
     algorithm.tell(first, np.eye(len(first))[4])
@@ -157,14 +157,14 @@ def test_hall_of_fame_survives_unchanged():
         algorithm.tell(children, np.zeros(11))
 
 
-def test_hall_of_fame_holds_the_best_so_far_and_not_of_the_last_generation_alone():
+def test_hall_of_fame_holds_the_best_of_all_generations():
     algorithm = ga(hall_of_fame=2, mutation_rate=0.0, crossover_rate=0.0, elites_breed=True)
     first = algorithm.ask()
     scores = np.zeros(12)
     scores[[3, 8]] = [5.0, 1.0]
     algorithm.tell(first, scores)
     second = algorithm.ask()
-    # A child with 2 displaces the elite with 1 and not that with 5.
+    # A child with fitness 2 replaces the elite with fitness 1, not the elite with fitness 5.
     newcomer = np.flatnonzero((second == first[8]).all(axis=1))
     assert newcomer.size, "with this seed no child copies the second elite"
     scores = np.zeros(10)
@@ -181,7 +181,7 @@ def test_elites_are_not_among_the_children_when_everything_mutates():
     assert not {tuple(g) for g in first} & {tuple(g) for g in second}
 
 
-def test_mutated_genes_are_drawn_from_their_own_distributions():
+def test_mutation_uses_the_mutation_distributions():
     low, high = ClippedGaussian(0.1, 0.01), ClippedGaussian(0.9, 0.01)
     config = GaConfig(population=12, hall_of_fame=3, mutation_rate=1.0)
     algorithm = GeneticAlgorithm([low] * 6, [high] * 6, config, np.random.default_rng(0))
@@ -191,7 +191,7 @@ def test_mutated_genes_are_drawn_from_their_own_distributions():
 
 
 @pytest.mark.parametrize("ties_later", [False, True])
-def test_of_equals_the_elder_stays_in_the_hall_of_fame(ties_later):
+def test_ties_in_the_hall_of_fame_go_to_the_older_genome(ties_later):
     algorithm = ga([Rank()], population=4, hall_of_fame=1, mutation_rate=0.0, elites_breed=True)
     algorithm.tell(algorithm.ask(), np.array([0.0, 1.0, 1.0, 0.0]))  # a tie at 1/4 and 2/4
     if ties_later:
@@ -199,13 +199,13 @@ def test_of_equals_the_elder_stays_in_the_hall_of_fame(ties_later):
         assert 0.5 in children, "with this seed no child ties with the elite"
         algorithm.tell(children, np.ones(3))
     algorithm.tell(algorithm.ask(), np.zeros(3))
-    assert algorithm.ask().tolist() == [[0.25]] * 3  # only the elite is worth anything
+    assert algorithm.ask().tolist() == [[0.25]] * 3  # only the elite has positive fitness
 
 
 @pytest.mark.parametrize("crossover", CROSSOVERS)
 @pytest.mark.parametrize(("settings", "breeds"), [({}, False), ({"elites_breed": True}, True)])
-def test_the_rest_alone_breeds_unless_elites_are_asked_to(crossover, settings, breeds):
-    # Each genome has one value of its own in every gene, and the three elites are worth the most by far.
+def test_elites_breed_only_if_elites_breed_is_set(crossover, settings, breeds):
+    # Each genome has its own value in every gene. The three elites have by far the highest fitness.
     algorithm = ga([Rank()] * 5, mutation_rate=0.0, crossover=crossover, **settings)
     first = algorithm.ask()
     fitness = np.where(np.isin(np.arange(12), [2, 5, 7]), 100.0, 1.0)
@@ -215,24 +215,24 @@ def test_the_rest_alone_breeds_unless_elites_are_asked_to(crossover, settings, b
     assert np.isin(inherited, first[:, 0]).all()
 
 
-def test_the_rest_breeds_in_proportion_to_its_own_fitness():
+def test_non_elites_breed_in_proportion_to_their_fitness():
     algorithm = ga([Rank()] * 2, population=6, hall_of_fame=2, mutation_rate=0.0)
     first = algorithm.ask()
-    # Beyond the two elites only one genome is worth anything.
+    # Apart from the two elites, only one genome has positive fitness.
     algorithm.tell(first, np.array([9.0, 0.0, 8.0, 3.0, 0.0, 0.0]))
     np.testing.assert_array_equal(algorithm.ask(), np.tile(first[3], (4, 1)))
 
 
-def test_a_rest_that_is_worth_nothing_breeds_evenly():
+def test_non_elites_with_zero_fitness_are_selected_uniformly():
     algorithm = ga([Rank()] * 2, population=300, hall_of_fame=100, mutation_rate=0.0)
     first = algorithm.ask()
     algorithm.tell(first, np.repeat([1.0, 0.0], [100, 200]))
     inherited = np.unique(algorithm.ask())
     assert not np.isin(first[:100, 0], inherited).any()
-    assert len(inherited) > 100  # two parents each for 200 children, of 200 who are equally likely
+    assert len(inherited) > 100  # 200 children with two parents each, of 200 equally likely genomes
 
 
-def test_an_elite_that_is_displaced_joins_the_rest():
+def test_a_replaced_elite_breeds_as_a_non_elite():
     algorithm = ga([Rank()] * 2, population=4, hall_of_fame=1, mutation_rate=0.0)
     first = algorithm.ask()
     algorithm.tell(first, np.array([0.0, 1.0, 0.0, 0.0]))
@@ -242,13 +242,13 @@ def test_an_elite_that_is_displaced_joins_the_rest():
     np.testing.assert_array_equal(algorithm.ask(), np.tile(first[1], (3, 1)))
 
 
-def test_a_rest_of_one_is_both_parents():
+def test_a_single_non_elite_is_both_parents():
     algorithm = ga([Rank()] * 3, population=5, hall_of_fame=4, mutation_rate=0.0)
     first = algorithm.ask()
     algorithm.tell(first, np.array([3.0, 2.0, 0.5, 4.0, 1.0]))
     child = algorithm.ask()
     np.testing.assert_array_equal(child, first[[2]])
-    algorithm.tell(child, np.array([5.0]))  # now the last of the former elites is the rest
+    algorithm.tell(child, np.array([5.0]))  # the worst former elite is now the only non-elite
     np.testing.assert_array_equal(algorithm.ask(), first[[4]])
 
 
@@ -260,7 +260,7 @@ def test_asking_twice_gives_the_same_genomes():
         algorithm.tell(one, one[:, 0])
 
 
-def test_changing_what_was_asked_for_does_not_reach_the_algorithm():
+def test_modifying_returned_genomes_does_not_affect_the_algorithm():
     algorithm = ga()
     mine = algorithm.ask()
     kept = mine.copy()
@@ -268,7 +268,7 @@ def test_changing_what_was_asked_for_does_not_reach_the_algorithm():
     np.testing.assert_array_equal(algorithm.ask(), kept)
 
 
-def test_telling_of_other_genomes_is_refused():
+def test_tell_rejects_genomes_that_ask_did_not_return():
     algorithm = ga()
     genomes = algorithm.ask()
     for other in (genomes[::-1], genomes[:-1], genomes + 1e-9, genomes[:, :-1]):
@@ -277,7 +277,7 @@ def test_telling_of_other_genomes_is_refused():
     algorithm.tell(genomes, np.ones(12))
 
 
-def test_telling_without_or_twice_is_refused():
+def test_tell_requires_a_preceding_ask():
     algorithm = ga()
     with pytest.raises(CaterpillarError, match="tell"):
         algorithm.tell(np.zeros((12, 6)), np.zeros(12))
@@ -288,14 +288,14 @@ def test_telling_without_or_twice_is_refused():
 
 
 @pytest.mark.parametrize("shape", [(11,), (13,), (12, 1), ()])
-def test_fitness_of_another_shape_is_refused(shape):
+def test_tell_rejects_fitness_of_the_wrong_shape(shape):
     algorithm = ga()
     with pytest.raises(CaterpillarError, match=r"shape \(12,\)"):
         algorithm.tell(algorithm.ask(), np.ones(shape))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_fitness_that_is_not_finite_is_refused(bad):
+def test_tell_rejects_non_finite_fitness(bad):
     algorithm = ga()
     genomes = algorithm.ask()
     fitness = np.ones(12)
@@ -305,7 +305,7 @@ def test_fitness_that_is_not_finite_is_refused(bad):
     algorithm.tell(genomes, np.ones(12))
 
 
-def test_negative_fitness_breeds_in_proportion_to_its_lead_over_the_worst():
+def test_selection_with_negative_fitness_is_relative_to_the_worst():
     algorithm = ga([Rank()] * 2, population=6, hall_of_fame=2, mutation_rate=0.0)
     first = algorithm.ask()
     # Apart from the two elites, only one genome is better than the worst.
@@ -313,7 +313,7 @@ def test_negative_fitness_breeds_in_proportion_to_its_lead_over_the_worst():
     np.testing.assert_array_equal(algorithm.ask(), np.tile(first[3], (4, 1)))
 
 
-def test_shift_of_negative_fitness_changes_no_draw():
+def test_shifting_fitness_below_zero_does_not_change_the_draws():
     def second_generation(offset):
         algorithm = ga(seed=3, elites_breed=True)
         genomes = algorithm.ask()
@@ -339,7 +339,7 @@ def test_hall_of_fame_that_does_not_fit_shrinks_to_half_of_the_population(
 
 
 def switches(children):
-    """How often each child changes from the genes of one parent to those of the other."""
+    """Number of switches between the genes of the two parents in each child."""
     return (np.diff(children, axis=1) != 0).sum(axis=1)
 
 
@@ -353,7 +353,7 @@ def children_of_rank(crossover, num_genes=10, rate=1.0):
 
 
 @pytest.mark.parametrize("crossover", CROSSOVERS)
-def test_every_gene_comes_from_one_of_two_parents_at_its_own_place(crossover):
+def test_every_gene_comes_from_the_same_position_in_a_parent(crossover):
     children = children_of_rank(crossover)
     values = [set(child) for child in children]
     assert max(map(len, values)) == 2
@@ -362,12 +362,12 @@ def test_every_gene_comes_from_one_of_two_parents_at_its_own_place(crossover):
 
 def test_one_point_crossover_switches_once_anywhere():
     children = children_of_rank("one-point")
-    assert set(switches(children).tolist()) <= {0, 1}  # 0: both parents are one genome
+    assert set(switches(children).tolist()) <= {0, 1}  # 0: both parents are the same genome
     assert np.mean(switches(children) == 1) > 0.95
     assert set(np.nonzero(np.diff(children, axis=1))[1].tolist()) == set(range(9))
 
 
-def test_two_point_crossover_gives_a_stretch_from_the_other_parent():
+def test_two_point_crossover_takes_adjacent_genes_from_the_other_parent():
     children = children_of_rank("two-point")
     assert set(switches(children).tolist()) == {0, 2}  # 0: the cuts may coincide
     assert np.all(children[:, 0] == children[:, -1])
@@ -394,7 +394,7 @@ def test_without_crossover_and_mutation_children_are_copies_of_parents():
     assert {tuple(c) for c in children} <= {tuple(p) for p in parents}
 
 
-def test_mutation_rate_is_the_chance_of_each_gene():
+def test_mutation_rate_is_the_probability_for_each_gene():
     algorithm = ga(
         distributions=[Phases() for _ in range(20)], population=1000, hall_of_fame=0, mutation_rate=0.05
     )
@@ -405,7 +405,7 @@ def test_mutation_rate_is_the_chance_of_each_gene():
     assert np.all(second.sum(axis=0) > 0)
 
 
-def test_mutated_genes_are_drawn_afresh_from_their_own_distribution():
+def test_mutated_genes_are_redrawn_from_their_own_distribution():
     peaks = np.array([0.1, 0.5, 0.9])
     narrow = [ClippedGaussian(mu, 0.01) for mu in peaks]
     algorithm = ga(distributions=narrow, population=300, mutation_rate=1.0)
@@ -421,11 +421,11 @@ def test_children_stay_in_the_unit_cube():
         assert np.all((genomes >= 0) & (genomes <= 1))
 
 
-# The whole algorithm
+# The complete algorithm
 
 
 @pytest.mark.parametrize("crossover", CROSSOVERS)
-def test_equal_seeds_repeat_and_others_do_not(crossover):
+def test_only_equal_seeds_give_equal_genomes(crossover):
     def history(seed):
         asked = generations(ga(seed=seed, crossover=crossover), lambda g: g[:, 0], 4)
         return np.concatenate(asked)
@@ -445,7 +445,7 @@ def test_global_generator_is_not_touched():
     ids=str,
 )  # fmt: skip
 @pytest.mark.parametrize("seed", range(3))
-def test_sphere_is_optimized_beyond_the_reach_of_random_search(settings, seed):
+def test_genetic_algorithm_beats_random_search_on_the_sphere(settings, seed):
     target = np.linspace(0.2, 0.8, 5)
 
     def distance(genomes):
@@ -458,7 +458,7 @@ def test_sphere_is_optimized_beyond_the_reach_of_random_search(settings, seed):
 
 
 @pytest.mark.parametrize("fitness", [0.0, 0.05])
-def test_population_without_differences_continues(fitness):
+def test_search_continues_if_all_fitness_is_equal(fitness):
     asked = generations(ga(), lambda g: np.full(len(g), fitness), 5)
     assert len(asked[-1]) == 9
 
@@ -468,7 +468,7 @@ def test_smallest_population_works():
     assert [len(genomes) for genomes in asked] == [2, 1, 1]
 
 
-def test_defaults_are_the_papers():
+def test_defaults_match_the_paper():
     assert (GaConfig().population, GaConfig().hall_of_fame) == (200, 10)
     assert not GaConfig().elites_breed
 

@@ -13,24 +13,24 @@ DIMENSIONS = 6
 
 
 def sphere(x):
-    """Least, 0, at 0.3 in every gene."""
+    """The minimum is 0, at 0.3 in every gene."""
     return ((10 * (x - 0.3)) ** 2).sum(axis=1)
 
 
 def rastrigin(x):
-    """Least, 0, at 0.6 in every gene; a thousand local minima around it."""
+    """The minimum is 0, at 0.6 in every gene, among a thousand local minima."""
     z = 10.24 * (x - 0.6)
     return (z**2 - 10 * np.cos(2 * np.pi * z) + 10).sum(axis=1)
 
 
 def rosenbrock(x):
-    """Least, 0, at the end of a curved valley: 0.75 in every gene."""
+    """The minimum is 0, at 0.75 in every gene, at the end of a curved valley."""
     z = 4 * x - 2
     return (100 * (z[:, 1:] - z[:, :-1] ** 2) ** 2 + (1 - z[:, :-1]) ** 2).sum(axis=1)
 
 
 def least(optimizer, problem, evaluations, enough=-np.inf):
-    """The least value among so many evaluations, and where; ends early below ``enough``."""
+    """Return the lowest value within ``evaluations``, and its genome; stop early below ``enough``."""
     best, where, done = np.inf, None, 0
     while done < evaluations and best >= enough:
         genomes = optimizer.ask()
@@ -66,7 +66,7 @@ def random_search(seed=0):
     [
         (cma_es, sphere, 0.3, 2_000, 1e-9, 1e-5),
         (cma_es, rosenbrock, 0.75, 6_000, 1e-9, 1e-5),
-        # Restarts are needed, and how many depends on the seed and on the CPU's linear algebra.
+        # The number of restarts needed depends on the seed and on the CPU's linear algebra.
         (cma_es, rastrigin, 0.6, 200_000, 1e-9, 1e-5),
         (shade, sphere, 0.3, 6_000, 1e-6, 1e-3),
         (shade, rosenbrock, 0.75, 20_000, 1e-6, 1e-3),
@@ -80,7 +80,7 @@ def test_the_known_optimum_is_found(make, problem, optimum, evaluations, value, 
 
 
 @pytest.mark.parametrize(("problem", "value"), [(sphere, 0.5), (rosenbrock, 15.0), (rastrigin, 12.0)])
-def test_the_genetic_algorithm_beats_random_search_and_comes_near(problem, value):
+def test_the_genetic_algorithm_beats_random_search_and_nears_the_optimum(problem, value):
     evolved = [least(ga(seed), problem, 10_000)[0] for seed in range(5)]
     random = [least(random_search(seed), problem, 10_000)[0] for seed in range(5)]
     assert np.median(evolved) < value

@@ -1,4 +1,4 @@
-"""SHADE: its first population, its trials, and what it keeps."""
+"""SHADE: first population, trials, replacement, memory and candidates."""
 
 import numpy as np
 import pytest
@@ -62,7 +62,7 @@ def test_trials_stay_within_the_bounds():
     assert genomes.min() > 0.9
 
 
-def test_circular_genes_pass_from_one_to_zero():
+def test_circular_genes_wrap_around():
     genes = [WrappedGaussian.with_floor(0.1), Uniform()]
     optimizer = started(genes=genes, circular=[True, False])
     asked = run(optimizer, 60, lambda x: np.cos(2 * np.pi * (x[:, 0] - 0.98)) - (x[:, 1] - 0.3) ** 2)
@@ -72,7 +72,7 @@ def test_circular_genes_pass_from_one_to_zero():
     assert np.median(away) < 0.02
 
 
-def test_differences_of_circular_genes_are_the_shorter_ones():
+def test_differences_of_circular_genes_take_the_shorter_way_around():
     genes = [WrappedGaussian.with_floor(0.1)]
     optimizer = started(genes=genes, circular=[True])
     first = np.tile([0.02, 0.98], DRAWS * SIZE // 2)[:, None]  # on both sides of 0
@@ -83,7 +83,7 @@ def test_differences_of_circular_genes_are_the_shorter_ones():
     assert np.abs((trials + 0.5) % 1 - 0.5).max() < 0.2
 
 
-def test_genomes_of_a_difference_are_not_the_same_and_not_the_genome_itself(monkeypatch):
+def test_differences_use_two_distinct_genomes_other_than_the_target(monkeypatch):
     optimizer, pairs = started(), []
     run(optimizer, 3, sphere)
     genomes = optimizer._genomes
@@ -106,7 +106,7 @@ def test_trial_that_is_as_good_replaces_the_genome():
 
 
 @pytest.mark.parametrize("gains", [(1, 1), (3, 1)])
-def test_memory_holds_the_lehmer_mean_of_what_helped(monkeypatch, gains):
+def test_memory_holds_the_lehmer_mean_of_successful_settings(monkeypatch, gains):
     """Tanabe and Fukunaga 2013: sum of w F^2 over sum of w F, with the gains as weights."""
     used = np.full((2, SIZE), 0.9)
     used[:, 0] = 0.5

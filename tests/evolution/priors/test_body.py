@@ -33,7 +33,7 @@ def array(*values):
 
 
 def lift(stiffness_n_m=35.0, rest_length_m=0.016, joint_limit_rad=0.0):
-    """The lifting moment as a function of its genes; of a level segment by default."""
+    """Return the lifting moment as a function of its genes, by default for a level segment."""
     return partial(
         lifting_moment, stiffness_n_m=stiffness_n_m, rest_length_m=rest_length_m,
         radius_m=0.012, joint_limit_rad=joint_limit_rad,
@@ -66,7 +66,7 @@ def test_level_lifting_moment_of_a_hand_computed_segment():
     assert value == pytest.approx(0.02135 - 0.0011772, rel=1e-12)
 
 
-def test_slack_spring_lifts_nothing():
+def test_slack_spring_adds_no_lifting_moment():
     moment = lift(rest_length_m=0.050)(*array(0.0, 0.0065, 0.008, 0.030))  # longer than L + 2x
     assert moment == pytest.approx(-0.0011772, rel=1e-12)
 
@@ -101,7 +101,7 @@ SIGNS = [
 
 
 def changes(parameter, gene):
-    """By how much K_i changes when one gene grows by a thousandth of its range, at random bodies."""
+    """Change of K_i when one gene grows by a thousandth of its range, at random bodies."""
     rng = np.random.default_rng(0)
     points = {n: rng.uniform(*BOUNDS[n], size=500) for n in parameter.gene_names}
     low, high = BOUNDS[gene]
@@ -118,8 +118,8 @@ def test_each_gene_changes_its_parameter_as_in_the_paper(parameter, rising, fall
         assert np.all(changes(parameter, gene) < 0), gene
 
 
-def test_lift_over_all_pitch_angles_keeps_the_signs_nearly_everywhere():
-    # A higher anchor lets a pitched spring go slack sooner: at a few bodies y then lowers the mean.
+def test_lift_over_all_pitch_angles_keeps_the_signs_for_nearly_all_bodies():
+    # With a higher anchor, a pitched spring goes slack sooner: for a few bodies, y lowers the mean.
     moment = body_parameters(Physics())[2]
     for gene in ("attachment_x_m", "attachment_y_m", "segment_length_m"):
         assert np.mean(changes(moment, gene) > 0) > 0.95, gene
@@ -151,7 +151,7 @@ def test_mass_is_uniform_because_lift_contradicts_stability():
     assert dict(row.signs) == {"roll stability": 1, "yaw stability": 1, "lifting moment": -1}
 
 
-def test_joint_limit_and_timings_are_uniform_for_want_of_a_parameter():
+def test_joint_limit_and_timings_are_uniform_without_a_design_parameter():
     rows = table_one()
     free = {n: r for n, r in rows.items() if n == "joint_limit_rad" or n.startswith("gap")}
     assert len(free) == 13
@@ -175,7 +175,7 @@ def test_longer_robot_has_the_same_table_with_more_timings():
     assert six["gap5_ventral_off_s"].distribution == Uniform()
 
 
-def test_every_segment_of_its_own_has_the_same_rules():
+def test_per_segment_genes_have_the_same_priors_as_shared_genes():
     shared = table_one()
     rows = make_priors(Encoding(Physics(), 3.0, "per-segment"))
     assert len(rows) == 44
@@ -186,7 +186,7 @@ def test_every_segment_of_its_own_has_the_same_rules():
         assert row.signs == shared[name].signs
 
 
-def test_single_springs_are_as_free_as_pairs():
+def test_timings_of_single_springs_are_uniform_like_those_of_pairs():
     rows = {r.gene.name: r for r in make_priors(Encoding(Physics(), 3.0, "full"))}
     assert len(rows) == 32
     for name, row in table_one().items():
@@ -195,7 +195,7 @@ def test_single_springs_are_as_free_as_pairs():
     assert rows["gap3_ventral_right_off_s"].distribution == Uniform()
 
 
-def test_without_spring_force_the_lift_wants_short_and_light_segments():
+def test_without_spring_force_lift_prefers_short_and_light_segments():
     # Only the weight's moment m g L / 2 is left, which a short segment keeps small.
     moment = body_parameters(Physics())[2]
     genes = {gene.name: gene for gene in Encoding().genes}

@@ -24,14 +24,14 @@ def reference(gaussian):
 @pytest.mark.parametrize(
     ("mu", "distance"), [(0.0, 1.0), (1.0, 1.0), (0.5, 0.5), (0.25, 0.75), (0.75, 0.75)]
 )
-def test_sigma_is_the_farther_bounds_distance_over_root_of_two_ln_three(mu, distance):
+def test_sigma_is_the_distance_to_the_farther_bound_over_sqrt_2_ln_3(mu, distance):
     # 1 / sqrt(2 ln 3) = 1 / 1.4823038 = 0.6746255
     assert ClippedGaussian.with_floor(mu).sigma == pytest.approx(0.6746255 * distance, rel=1e-6)
 
 
 @pytest.mark.parametrize("mu", PEAKS)
 @pytest.mark.parametrize("ratio", [3.0, 10.0, 100.0])
-def test_least_density_is_exactly_the_asked_share_of_the_greatest(mu, ratio):
+def test_ratio_of_highest_to_lowest_density_is_the_floor_ratio(mu, ratio):
     gaussian = ClippedGaussian.with_floor(mu, ratio)
     density = gaussian.density(np.append(np.linspace(0, 1, 10_001), mu))
     assert density.min() / density.max() == pytest.approx(1 / ratio, rel=1e-12)
@@ -51,7 +51,7 @@ def test_density_outside_the_range_is_zero(distribution):
 
 
 @pytest.mark.parametrize("gaussian", SHAPES, ids=str)
-def test_density_equals_the_truncated_normals(gaussian):
+def test_density_equals_that_of_a_truncated_normal(gaussian):
     x = np.linspace(0, 1, 101)
     np.testing.assert_allclose(gaussian.density(x), reference(gaussian).pdf(x), rtol=1e-9)
 
@@ -68,7 +68,7 @@ def test_uniform_samples_follow_the_uniform_distribution():
 
 
 def test_no_mass_piles_up_on_the_bounds():
-    # Clamping instead of cutting off would put half of the draws on the bound itself.
+    # Clamping instead of truncating would put half of the draws on the bound itself.
     draws = ClippedGaussian.with_floor(1.0).sample(np.random.default_rng(0), 10_000)
     assert not np.any((draws == 0.0) | (draws == 1.0))
 
@@ -94,8 +94,8 @@ def test_same_generator_state_gives_the_same_draws(distribution):
 
 
 @pytest.mark.parametrize("distribution", [Uniform(), *SHAPES], ids=str)
-def test_a_draw_takes_one_uniform_number(distribution):
-    # So that arms of a study that differ in one gene's distribution draw all others alike.
+def test_a_draw_uses_one_uniform_number(distribution):
+    # Study arms that differ in the distribution of one gene then draw equal values for other genes.
     used, counted = np.random.default_rng(5), np.random.default_rng(5)
     distribution.sample(used, 17)
     counted.random(17)
@@ -109,7 +109,7 @@ def test_a_draw_is_the_quantile_of_its_uniform_number(gaussian):
     np.testing.assert_allclose(draws, reference(gaussian).ppf(quantiles), rtol=1e-9, atol=1e-12)
 
 
-def test_wide_gaussian_nears_the_uniform():
+def test_wide_gaussian_approaches_the_uniform_distribution():
     density = ClippedGaussian(0.2, 1e3).density(np.linspace(0, 1, 11))
     np.testing.assert_allclose(density, 1.0, rtol=1e-6)
 
@@ -121,7 +121,7 @@ CIRCLES = [WrappedGaussian.with_floor(mu) for mu in (0.0, 0.2, 0.5, 0.9)]
 
 
 @pytest.mark.parametrize("circle", CIRCLES, ids=str)
-def test_circular_density_depends_on_the_way_around_the_circle(circle):
+def test_circular_density_depends_on_the_distance_around_the_circle(circle):
     x = np.linspace(0, 1, 101)
     way = np.abs((x - circle.mu + 0.5) % 1.0 - 0.5)
     centred = ClippedGaussian.with_floor(0.5)
@@ -144,6 +144,6 @@ def test_least_circular_density_is_opposite_to_the_peak():
     assert density[0] / density[1] == pytest.approx(3.0)
 
 
-def test_misleading_peaks_are_at_the_other_end_or_across_the_circle():
+def test_mirrored_peaks_are_at_the_other_end_or_opposite_on_the_circle():
     assert ClippedGaussian(0.9, 0.3).mirrored() == ClippedGaussian(pytest.approx(0.1), 0.3)
     assert WrappedGaussian(0.7, 0.3).mirrored() == WrappedGaussian(pytest.approx(0.2), 0.3)

@@ -29,8 +29,8 @@ def distributions(encoding, prior="body+gait", **settings):
 # K_4
 
 
-def test_stroke_is_full_at_a_fifth_of_the_period():
-    # A spring heats in about 1 s and cools in 2.8 s: 1 s on and 4 s off swings it fully.
+def test_stroke_is_full_at_a_duty_of_one_fifth():
+    # A spring heats in about 1 s and cools in 2.8 s: 1 s on and 4 s off give a full stroke.
     duty = np.array([0.0, 0.1, 0.2, 0.5, 0.75, 0.95])
     stroke = STROKE.formula(duty)
     assert stroke[[0, 4, 5]] == pytest.approx([0, 0, 0], abs=1e-6)  # never warm, or never cool
@@ -48,7 +48,7 @@ def test_longer_period_leaves_more_time_to_cool():
 # K_5
 
 
-def test_wave_from_the_tail_advances_and_from_the_head_retreats():
+def test_waves_from_the_tail_move_forwards_and_from_the_head_backwards():
     lag, offset, duty = np.array([0.7, 0.3, 0.0]), np.full(3, 0.5), np.full(3, 0.2)
     forward, backward, standing = ADVANCE.formula(lag, offset, duty)
     assert forward > 0.015
@@ -63,7 +63,7 @@ def test_springs_that_never_cool_do_not_advance():
 
 @pytest.mark.slow
 def test_advance_ranks_gaits_as_the_simulator_does():
-    # `python -m benchmarks.advance` compares 200 gaits; 30 gaits vary about that correlation.
+    # `python -m benchmarks.advance` compares 200 gaits; 30 gaits scatter about its correlation.
     rng = np.random.default_rng(3)
     lag, offset, duty = rng.random(30), rng.random(30), rng.uniform(0.1, 0.4, 30)
     delay, duties = np.zeros((30, 6)), np.repeat(duty[:, None], 6, axis=1)
@@ -73,7 +73,7 @@ def test_advance_ranks_gaits_as_the_simulator_does():
     assert spearmanr(ADVANCE.formula(lag, offset, duty), crawled.distance_m)[0] > 0.6
 
 
-def test_advance_of_robots_is_that_of_their_pairs_of_springs():
+def test_advance_is_equal_for_pairs_and_springs_alone_and_in_batches():
     genomes = np.random.default_rng(1).random((3, len(WAVE.genes)))
     bodies, pairs = WAVE.decode(genomes)
     together = advance(bodies, pairs, PHYSICS)
@@ -146,7 +146,7 @@ def test_robots_of_all_lengths_have_the_same_wave():
     assert four == eight
 
 
-def test_controls_mislead_with_the_same_strength():
+def test_controls_mirror_or_shuffle_the_same_distributions():
     wave = distributions(WAVE)
     mirrored = distributions(WAVE, control="mirrored")
     shuffled = distributions(WAVE, control="shuffled", seed=1)
@@ -166,7 +166,7 @@ def test_a_design_parameter_can_be_left_out():
     assert isinstance(without["segment_length_m"], Uniform)
     times = distributions(Encoding(), without="advance")
     assert isinstance(times["gap1_dorsal_on_s"], Uniform)  # no K_i prefers a wave
-    # The comment in the preset `ablation` says so.
+    # The preset `ablation` states this in a comment.
     assert distributions(WAVE, without="stroke") == full
     with pytest.raises(
         CaterpillarError, match="prior_without = 'stroke' must be a K_i of prior = 'body'"

@@ -81,7 +81,7 @@ def test_parameter_over_an_unknown_gene_is_refused():
         preprocess([k("K", ("a", "nose"), lambda a, nose: a + nose)], [A])
 
 
-def test_parameters_of_one_name_are_not_merged_silently():
+def test_parameters_with_the_same_name_are_refused():
     twins = [k("K", ("a",), lambda a: a), k("K", ("a",), lambda a: -a)]
     with pytest.raises(CaterpillarError, match="K"):
         preprocess(twins, [A])

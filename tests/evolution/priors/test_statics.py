@@ -28,7 +28,7 @@ def pulse(pair, instants=60):
 
 
 def test_cold_robot_hardly_moves():
-    # Smoothed friction lets loaded feet creep: about 1 mm in a period, where the best wave makes 22 mm.
+    # Smoothed friction lets loaded feet creep about 1 mm per period. The best wave moves 22 mm.
     positions = PlanarChain([BODY], PHYSICS).crawl(steady([0] * PAIRS, 101), 0.05)
     assert abs(positions[-1, 0] - positions[0, 0]) < 1.5e-3
 
@@ -62,7 +62,7 @@ def test_dorsal_pair_raises_the_ends_and_ventral_pair_the_middle():
     chain = PlanarChain([BODY], PHYSICS)
     dorsal, ventral = (chain.settle(steady(row)[0]) for row in np.eye(PAIRS)[2:4])
     neck_up, neck_down = (q[4, 0] - q[3, 0] for q in (dorsal, ventral))
-    # Pitch is positive nose up: with a short back, the segment behind points down towards the middle.
+    # Positive pitch is nose up: with a short back, the segment behind points down towards the middle.
     assert neck_up < -0.1
     assert neck_down > 0.1
 
@@ -74,20 +74,20 @@ def test_feet_carry_the_weight():
         assert chain.loads_n(q).sum() == pytest.approx(4 * 0.008 * 9.81, rel=1e-3)
 
 
-def test_without_friction_nothing_is_carried_forward():
+def test_robot_without_friction_does_not_advance():
     # A frictionless robot cannot advance: over a closed cycle of shapes it returns to its place.
     slippery = replace(PHYSICS, friction=0.0)
     positions = PlanarChain([BODY], slippery).crawl(pulse(2), 0.1)
     assert abs(positions[-1, 0] - positions[0, 0]) < 1e-4
 
 
-def test_gaits_solved_together_are_solved_alone():
+def test_gaits_solved_in_a_batch_equal_gaits_solved_alone():
     chain = PlanarChain([BODY], PHYSICS)
     together = chain.crawl(np.concatenate([pulse(0), pulse(3)], axis=2), 0.1)
     assert together[:, 1:] == pytest.approx(chain.crawl(pulse(3), 0.1), abs=1e-9)
 
 
-def test_bodies_solved_together_are_solved_alone():
+def test_bodies_solved_in_a_batch_equal_bodies_solved_alone():
     other = replace(BODY, segment_length_m=0.034, segment_mass_kg=0.012, segment_radius_m=0.012)
     uneven = (BODY, other, BODY, other)
     bodies, gaits = [BODY, other, uneven], [pulse(0), pulse(3), pulse(2)]
@@ -97,7 +97,7 @@ def test_bodies_solved_together_are_solved_alone():
         assert together[:, [number]] == pytest.approx(alone, abs=1e-9)
 
 
-def test_equal_segments_are_one_body():
+def test_four_equal_segments_match_a_shared_body():
     one, four = (PlanarChain([body], PHYSICS).crawl(pulse(2), 0.1) for body in (BODY, (BODY,) * 4))
     assert np.array_equal(one, four)
 

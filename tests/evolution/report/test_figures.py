@@ -72,7 +72,7 @@ def test_convergence_shows_millimetres_and_stacked_failures():
 @pytest.mark.parametrize(
     ("num_segments", "on_s", "off_s"),
     [(2, 0.0, 0.0), (2, 0.75 * PERIOD_S, 0.25 * PERIOD_S), (5, 0.0, PERIOD_S)],
-    ids=["never", "round the end", "always"],
+    ids=["never", "wraps around", "always"],
 )
 def test_gait_is_drawn_for_any_robot_and_timing(num_segments, on_s, off_s, tmp_path):
     figures.save(figures.gait(individual(num_segments, on_s, off_s)), tmp_path / "gait.png")

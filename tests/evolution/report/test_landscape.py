@@ -1,4 +1,4 @@
-"""The landscape around the best robot: what is varied, and what is drawn."""
+"""The landscape around the best robot: its two genes, its distances and its figure."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def test_failed_robots_are_grey(history):
     left, right, *_ = figure.axes
     _, grey = left.collections
     assert grey.get_array().count() == 1  # the others are masked
-    assert not np.ma.getmaskarray(grey.get_array())[0, 2]  # by second and first gene
+    assert not np.ma.getmaskarray(grey.get_array())[0, 2]  # indices: second gene, first gene
     assert left.get_xlabel() == "lag (%)"
     # The sphere function has its largest value at the node next to the best robot.
     assert np.unravel_index(right.collections[0].get_array().argmax(), (3, 3)) == (0, 1)

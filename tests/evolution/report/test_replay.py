@@ -1,4 +1,4 @@
-"""The replay: recorded poses survive their encoding, and a browser shows, plays and turns them."""
+"""The replay: encoded poses match the recording, and a browser shows, plays and rotates them."""
 
 import base64
 import io
@@ -43,7 +43,7 @@ def unpack(data, name, kind, *shape):
     return array.reshape(-1, *shape).astype(float)
 
 
-def test_poses_are_those_of_the_simulation(recording, data):
+def test_poses_match_the_simulation(recording, data):
     poses = unpack(data, "poses", "<i2", data["elements"], 7)
     model = build_model(recording.robot.morphology, recording.robot.physics)
     state = mujoco.MjData(model)
@@ -55,7 +55,7 @@ def test_poses_are_those_of_the_simulation(recording, data):
         np.testing.assert_allclose(poses[frame, :, 3:] / 32767, state.xquat[1:], atol=1e-4)
 
 
-def test_readings_end_with_those_of_the_episode(recording, data):
+def test_final_readings_match_the_episode(recording, data):
     x_m, _, energy_j = unpack(data, "track", "<f4", 3)[-1]
     assert x_m - data["start_m"] == pytest.approx(recording.outcomes.distance_m[0], abs=3e-4)
     assert energy_j == pytest.approx(recording.outcomes.energy_j[0])
@@ -83,7 +83,7 @@ def test_feet_touch_the_ground_and_shells_do_not(data):
     assert touches[:, ~feet].mean() < 0.05
 
 
-def test_shapes_are_those_of_the_body(data):
+def test_shapes_match_the_body(data):
     shell, *_ = (shape for shape in data["shapes"] if shape["opacity"] < 1)
     np.testing.assert_allclose(shell["axes"], np.diag([0.0075, 0.012, 0.012]), atol=1e-9)
     legs = [shape["ends"] for shape in data["shapes"] if "ends" in shape]
@@ -94,7 +94,7 @@ def test_shapes_are_those_of_the_body(data):
 
 
 @pytest.mark.parametrize("world", ["flat", "slope:angle_deg=20", "steps", "rough"])
-def test_ground_is_that_of_the_world(recording, world):
+def test_ground_matches_the_world(recording, world):
     physics = replace(PHYSICS, world=world)
     data = encode(Recording(replace(recording.robot, physics=physics)))
     poses = unpack(data, "poses", "<i2", data["elements"], 7)
@@ -118,7 +118,7 @@ def test_long_robots_have_fewer_frames(recording):
     physics = replace(PHYSICS, num_segments=64)
     robot = Robot(Morphology(), GaitTimings(5.0, np.zeros(126), np.zeros(126)), physics)
     model = build_model(robot.morphology, physics)
-    long = Recording.__new__(Recording)  # a robot at rest, as simulating it takes long
+    long = Recording.__new__(Recording)  # a robot at rest, because simulating it is slow
     long.robot, long.body_length_m = robot, 64 * 0.03
     long.qpos = np.tile(model.qpos0, (3000, 1))
     long.temperature_c, long.energy_j = np.full((3000, 252), 25.0), np.zeros(3000)
@@ -202,7 +202,7 @@ def test_play_moves_the_robot_until_the_end(browser, page, width_px):
     tab.play.click()
     assert tab.play.inner_text() == "Play"
     paused_s = tab.time_s()
-    assert differing(start, tab.picture()) > 0.002  # of a still picture, it is 0
+    assert differing(start, tab.picture()) > 0.002  # 0 for a still picture
     assert tab.time_s() == paused_s
     tab.seek(0.98)
     tab.play.click()

@@ -79,13 +79,13 @@ def gait(folder):
 
 @pytest.fixture
 def measured_once(gait, monkeypatch):
-    """That gait stands for those of all robots, as measuring takes time."""
+    """Use this gait for all robots, because measuring a gait is slow."""
     monkeypatch.setattr(run_page, "measure_gait", lambda robot: gait)
 
 
 @pytest.fixture
 def ran(invented, measured_once, tmp_path):
-    """Takes a configuration and runs it in the folder `run`, with invented outcomes; its page."""
+    """Return a function that runs a configuration in `run` with invented outcomes and renders it."""
 
     def run(config=SHORT, **kwargs):
         evolve(config, tmp_path / "run", evaluator=invented, **kwargs)
@@ -223,7 +223,7 @@ def test_page_names_a_custom_optimizer(ran):
     assert "may not use the prior" in page
 
 
-def test_page_does_not_resume_a_run_with_the_users_own_objective(ran):
+def test_page_shows_no_resume_command_for_a_custom_objective(ran):
     page = ran(objective=lambda outcomes: -outcomes.energy_j)
     assert "caterpillar replay run" in page
     assert "caterpillar resume" not in page
@@ -345,7 +345,7 @@ def filmed(folder, tmp_path_factory):
     write_video([recording], copy / "best.mp4", VideoConfig(60.0, 160, 120))
     film = (copy / "best.mp4").read_bytes()
     assert cli.main(["report", str(copy)]) == 0
-    assert (copy / "best.mp4").read_bytes() == film  # it is of this robot: none is made anew
+    assert (copy / "best.mp4").read_bytes() == film  # it shows this robot, so it is kept
     return copy / run_page.PAGE
 
 

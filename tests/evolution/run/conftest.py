@@ -8,7 +8,7 @@ from evolution.run.journal import FILE
 
 @pytest.fixture
 def downgrade():
-    """Function that turns the journal of a folder into one of an earlier schema."""
+    """Return a function that converts the journal of a folder to an earlier schema."""
 
     def change(folder, version):
         with closing(sqlite3.connect(folder / FILE)) as db, db:

@@ -33,7 +33,7 @@ JOBS = [Job(GENOMES[:5]), Job(GENOMES[5:6]), Job(GENOMES[6:])]
 
 
 def duration(sizes, workers):
-    """When the last of the workers ends, if a genome takes 1 and every worker takes the next chunk."""
+    """Time until all workers end, if a genome takes 1 and each free worker takes the next chunk."""
     ends = np.zeros(workers)
     for size in sizes:
         ends[ends.argmin()] += size
@@ -69,7 +69,7 @@ def test_an_address_without_a_cluster_is_rejected():
 
 
 def needs_ray(test):
-    """Slow, with Ray's own warnings let through."""
+    """Mark a test as slow and allow Ray's own warnings."""
     return pytest.mark.slow(pytest.mark.filterwarnings("default")(test))
 
 
@@ -118,7 +118,7 @@ def test_an_exception_on_a_worker_is_raised(cluster):
 
 
 class KillsItsWorkers(Encoding):
-    """An encoding whose first genomes kill the processes that they are evaluated in, on the way."""
+    """An encoding that kills its worker process in the first `kills` calls of `decode`."""
 
     marks: ClassVar[Path]
     kills: ClassVar[int]
@@ -195,9 +195,9 @@ sys.exit(main())
 @pytest.mark.parametrize(
     ("lost", "message"), [("gcs_server", "has not answered for"), ("raylet", "raylet, Ray's process")]
 )
-def test_run_ends_with_its_head_and_can_be_resumed(tmp_path, lost, message):
+def test_run_ends_if_its_head_node_is_lost_and_can_be_resumed(tmp_path, lost, message):
     pytest.importorskip("ray")
-    import psutil  # Ray brings it along
+    import psutil  # installed with Ray
 
     folder = tmp_path / "run"
     run = subprocess.Popen(

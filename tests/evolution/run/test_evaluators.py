@@ -1,4 +1,4 @@
-"""Where genomes are evaluated makes no difference to what comes out."""
+"""Outcomes do not depend on where genomes are evaluated."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def reference():
 
 
 @pytest.mark.parametrize("threads", [1, 2, 4])
-def test_threads_and_chunks_do_not_matter(reference, threads):
+def test_outcomes_do_not_depend_on_threads_and_chunks(reference, threads):
     with LocalEvaluator(threads) as evaluator:
         joined = Outcomes.join(result.outcomes for result in evaluator.map(ENCODING, JOBS))
     np.testing.assert_equal(joined, reference)

@@ -1,6 +1,6 @@
-"""Runs that are killed, again and again, end as if nothing had happened.
+"""Runs that are killed repeatedly have the same result as uninterrupted runs.
 
-The environment variable CATERPILLAR_KILLS is the number of times that each of them is killed.
+The environment variable CATERPILLAR_KILLS is the number of times that each run is killed.
 """
 
 import os
@@ -64,14 +64,14 @@ def process(folder, kind, *target_m):
 
 
 def evaluated(folder):
-    """How many genomes were begun to be evaluated, over all processes."""
+    """Number of genomes whose evaluation was started, over all processes."""
     log = folder.with_name(f"{folder.name}.log")
     return sum(int(line) for line in log.read_text().split()) if log.exists() else 0
 
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory):
-    """Takes the kind of a run; the folder of a run that ended without being killed."""
+    """Return a function from the kind of a run to the folder of an uninterrupted run."""
 
     @cache
     def run(kind):
@@ -84,14 +84,14 @@ def uninterrupted(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", LOST)
-def test_killed_at_random_points_equals_uninterrupted(uninterrupted, tmp_path, kind):
+def test_run_killed_at_random_times_equals_an_uninterrupted_run(uninterrupted, tmp_path, kind):
     whole, broken = uninterrupted(kind), tmp_path / "broken"
     rng = np.random.default_rng(0)
     for kill in range(KILLS):
         before = evaluated(broken)
         worker = process(broken, kind)
-        # After one or two chunks more have been begun, and then at any moment of the last. Every
-        # fifth time at any moment since the start of the process, with or without a journal.
+        # Kill after one or two more chunks have started, at a random time in the last of them. Every
+        # fifth kill comes at a random time after the process starts, with or without a journal.
         early = kill % 5 == 4
         begun = before + LOST[kind] * int(rng.integers(1, 3))
         while not early and evaluated(broken) < begun and worker.poll() is None:
@@ -105,13 +105,13 @@ def test_killed_at_random_points_equals_uninterrupted(uninterrupted, tmp_path, k
     assert load(broken).table().drop("session").equals(load(whole).table().drop("session"))
     assert (broken / "best.json").read_bytes() == (whole / "best.json").read_bytes()
     assert load(broken).table()["session"].n_unique() > 1
-    # Nothing is evaluated twice but what was in flight at each kill.
+    # Only the genomes in flight at each kill are evaluated twice.
     assert evaluated(broken) <= evaluated(whole) + LOST[kind] * KILLS
     assert not list(broken.glob(".*.partial"))
 
 
 @pytest.mark.slow
-def test_killed_on_the_way_to_its_target_ends_there_and_stays(uninterrupted, tmp_path):
+def test_killed_run_ends_at_its_target_and_stays_finished(uninterrupted, tmp_path):
     optimizer = "ga"
     whole, broken = uninterrupted(optimizer), tmp_path / "broken"
     generations = load(whole).generations
@@ -125,7 +125,7 @@ def test_killed_on_the_way_to_its_target_ends_there_and_stays(uninterrupted, tmp
         while evaluated(broken) < begun and worker.poll() is None:
             time.sleep(0.005)
         time.sleep(float(rng.uniform(0.0, 0.15)))
-        worker.kill()  # or it is at its target already
+        worker.kill()  # unless it has already reached its target
         assert worker.wait() in (0, -signal.SIGKILL)
     assert process(broken, optimizer, target_m).wait() == 0
     assert load(broken).table()["session"].n_unique() > 1
@@ -137,7 +137,7 @@ def test_killed_on_the_way_to_its_target_ends_there_and_stays(uninterrupted, tmp
     assert evaluated(broken) == before
 
 
-#: A shell's background jobs are deaf to Ctrl-C, and so would be what this test starts.
+#: A shell's background jobs ignore Ctrl-C, and so would the processes that this test starts.
 MAIN = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -154,7 +154,7 @@ def test_ctrl_c_ends_a_run_on_ray_within_seconds_and_prints_how_to_resume(tmp_pa
         sys.executable, "-c", MAIN, "evolve", "--out", str(folder), "--no-video",
         "--evaluator", "ray",
     ]  # fmt: skip
-    # A session of its own, as in a terminal: the signal goes to whatever the run has started, too.
+    # A new session, as in a terminal: the signal also goes to the processes that the run started.
     worker = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
     while not (folder / "journal.sqlite").exists():
         time.sleep(0.05)
@@ -163,6 +163,6 @@ def test_ctrl_c_ends_a_run_on_ray_within_seconds_and_prints_how_to_resume(tmp_pa
     os.killpg(worker.pid, signal.SIGINT)
     output = worker.communicate(timeout=60)[1]
     assert worker.returncode == 130
-    assert time.monotonic() - started < 15  # one, when the machine has nothing else to do
+    assert time.monotonic() - started < 15  # 1 s on an idle machine
     assert f"stopped; continue with: caterpillar resume {folder}" in output
     assert "Traceback" not in output

@@ -48,14 +48,14 @@ def runs(tmp_path_factory):
     ("kind", "read"),
     [("csv", polars.read_csv), ("parquet", polars.read_parquet), ("json", polars.read_json)],
 )
-def test_exported_tables_hold_every_bit(runs, tmp_path, kind, read, capsys):
+def test_exported_tables_equal_the_journal(runs, tmp_path, kind, read, capsys):
     out = tmp_path / f"rows.{kind}"
     assert cli.main(["export", str(runs / "done"), "--to", kind, "--out", str(out)]) == 0
     assert "5 evaluations written to" in capsys.readouterr().err
     assert read(out).equals(load(runs / "done").table())
 
 
-def test_export_goes_beside_the_journal_and_best_robot_is_in_it(runs):
+def test_export_is_written_beside_the_journal_and_contains_the_best_robot(runs):
     assert cli.main(["export", str(runs / "done")]) == 0
     rows = polars.read_csv(runs / "done" / "evaluations.csv")
     best = Robot.load(runs / "done")
@@ -129,15 +129,15 @@ def test_a_run_with_a_budget_is_listed_without_a_number_of_generations(tmp_path,
     assert row["generation"] == "0"
 
 
-def test_a_run_that_is_worked_on_is_running(runs, capsys):
-    for name in ("stopped", "done"):  # the second is made longer
+def test_a_run_in_progress_is_listed_as_running(runs, capsys):
+    for name in ("stopped", "done"):  # the second run is being extended
         with Journal(runs / name):
             assert cli.main(["runs", str(runs / name), "--json"]) == 0
         (row,) = json.loads(capsys.readouterr().out)
         assert row["state"] == "running"
 
 
-def test_no_runs_is_no_error(tmp_path, capsys):
+def test_a_folder_without_runs_is_not_an_error(tmp_path, capsys):
     assert cli.main(["runs", str(tmp_path)]) == 0
     assert "no runs in" in capsys.readouterr().err
 
@@ -192,7 +192,7 @@ def test_ties_for_the_best_go_to_the_robot_evaluated_first(tmp_path):
     assert Robot.load(tmp_path).evaluation == load(tmp_path).best.number == 0
 
 
-def test_a_generation_that_is_completed_while_the_journal_is_read_waits(tmp_path, monkeypatch):
+def test_a_generation_completed_during_reading_is_excluded(tmp_path, monkeypatch):
     genomes = np.random.default_rng(0).random((2, len(CONFIG.encoding.genes)))
     outcomes = Outcomes(np.zeros(1, dtype=np.int8), np.array([0.1]), np.ones(1), np.full(1, 30.0))
     read_evaluations, calls = Journal.evaluations, []
@@ -214,7 +214,7 @@ def test_a_generation_that_is_completed_while_the_journal_is_read_waits(tmp_path
         assert len(load(tmp_path).generations) == 2
 
 
-def test_a_journal_without_the_ends_of_generations_is_read_the_same(runs, downgrade, tmp_path):
+def test_a_journal_without_a_generations_table_gives_the_same_generations(runs, downgrade, tmp_path):
     for name in ("done", "stopped"):
         folder = shutil.copytree(runs / name, tmp_path / name)
         downgrade(folder, 1)

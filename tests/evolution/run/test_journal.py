@@ -1,4 +1,4 @@
-"""The journal: what is written is there, whatever happens to the process, the disk or the file."""
+"""The journal loses no committed data if a process or disk fails, and detects damage to its file."""
 
 import json
 import os
@@ -39,7 +39,7 @@ def rows_of(genomes, results, generation=0, first=0):
 
 
 def written(folder, parts=(3, 2)):
-    """A journal with two generations; its genomes and outcomes."""
+    """Write a journal with two generations. Return its genomes and outcomes."""
     genomes = np.random.default_rng(1).random((sum(parts), 4))
     results = outcomes(sum(parts))
     with Journal.create(folder, CONFIGURATION) as journal:
@@ -53,7 +53,7 @@ def written(folder, parts=(3, 2)):
     return genomes, results
 
 
-def test_every_bit_comes_back(tmp_path):
+def test_written_data_is_read_back_exactly(tmp_path):
     genomes, results = written(tmp_path)
     with Journal(tmp_path) as journal:
         rows = list(journal.evaluations())
@@ -67,7 +67,7 @@ def test_every_bit_comes_back(tmp_path):
         assert [getattr(e, name) for e in rows] == getattr(results, name).tolist()
 
 
-def test_any_sqlite_tool_can_read_it(tmp_path):
+def test_any_sqlite_tool_can_read_the_journal(tmp_path):
     genomes, _ = written(tmp_path)
     db = sqlite3.connect(tmp_path / FILE)
     rows = db.execute("SELECT genome, failure FROM evaluations WHERE generation = 1").fetchall()
@@ -96,7 +96,7 @@ def test_a_newer_schema_is_refused(tmp_path):
         Journal(tmp_path)
 
 
-def test_what_is_no_journal_is_refused(tmp_path):
+def test_a_file_that_is_not_a_journal_is_refused(tmp_path):
     with pytest.raises(JournalError, match="is not a run folder"):
         Journal(tmp_path)
     db = sqlite3.connect(tmp_path / FILE)
@@ -118,12 +118,12 @@ def test_truncated_file_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_flipped_bits_are_never_taken_for_data(tmp_path, seed):
+def test_flipped_bits_in_rows_are_detected(tmp_path, seed):
     genomes, results = written(tmp_path, parts=(200,))
     path = tmp_path / FILE
     content = bytearray(path.read_bytes())
     rng = np.random.default_rng(seed)
-    # Within a genome of the table or what became of it, so that the structure of the file stays whole.
+    # Flip a bit in a genome or its outcome, so that the structure of the file stays intact.
     victim = int(rng.integers(0, 200))
     size = 4 * 8 + len(Failure(results.failure[victim]).label) + 3 * 8
     place = content.index(genomes[victim].tobytes()) + int(rng.integers(0, size))
@@ -210,7 +210,7 @@ for first in range(0, 1_000_000, 5):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("trial", range(12))
-def test_killed_in_the_middle_of_writing_loses_nothing_committed(tmp_path, trial):
+def test_a_kill_during_writing_loses_no_committed_rows(tmp_path, trial):
     command = [sys.executable, "-c", WRITER, str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -226,10 +226,10 @@ def test_killed_in_the_middle_of_writing_loses_nothing_committed(tmp_path, trial
     shutil.rmtree(tmp_path)
 
 
-# What else is recorded
+# Other records
 
 
-def test_the_ends_of_generations_come_back(tmp_path):
+def test_ends_of_generations_are_read_back(tmp_path):
     with Journal.create(tmp_path, CONFIGURATION) as journal:
         journal.begin()
         ends = [Completion(0, 3, None, None), Completion(1, 5, 4, 0.1)]
@@ -290,7 +290,7 @@ def edit(folder, statement, *values):
         ("PRAGMA user_version = 2", "table run does not have the columns of schema 2"),
     ],
 )
-def test_no_altered_or_missing_row_is_read(tmp_path, statement, message):
+def test_altered_and_missing_rows_are_detected(tmp_path, statement, message):
     written(tmp_path)
     edit(tmp_path, statement)
     with pytest.raises(JournalError, match=f"journal.sqlite is damaged: .*{message}"):
@@ -330,7 +330,7 @@ def test_damaged_text_of_an_earlier_schema_is_detected(
     ],
     ids=str,
 )  # fmt: skip
-def test_rows_of_a_hostile_file_are_refused_although_their_digests_are_right(tmp_path, changes):
+def test_invalid_rows_with_correct_digests_are_refused(tmp_path, changes):
     written(tmp_path)
     with closing(sqlite3.connect(tmp_path / FILE)) as db, db:
         row = list(db.execute("SELECT * FROM evaluations WHERE evaluation = 1").fetchone())[:-1]
@@ -345,7 +345,7 @@ def test_rows_of_a_hostile_file_are_refused_although_their_digests_are_right(tmp
 
 @pytest.mark.parametrize("damage", ["flip", "truncate"])
 def test_damage_to_any_page_is_detected_or_harmless(tmp_path, damage):
-    """One bit of every page, at three places of each, and the file without its end."""
+    """Flip a bit at three places in every page, or truncate the file there."""
     genomes, _ = written(tmp_path, parts=(60, 30))
     with Journal(tmp_path, read_only=True) as journal:
         expected = journal.configuration, journal.sessions, journal.generations()
@@ -369,7 +369,7 @@ def test_damage_to_any_page_is_detected_or_harmless(tmp_path, damage):
 
 
 def test_flipped_bits_in_the_file_header_are_detected_or_harmless(tmp_path):
-    """The first page holds the head of the file, with the schema's number, and the tables."""
+    """The first page holds the file header, with the schema version, and the tables."""
     genomes, _ = written(tmp_path)
     content = (tmp_path / FILE).read_bytes()
     for place in (*range(0, 100, 2), *range(4096 - 1200, 4096, 17)):
@@ -385,7 +385,7 @@ def test_flipped_bits_in_the_file_header_are_detected_or_harmless(tmp_path):
 
 
 def test_reading_needs_no_write_access(tmp_path):
-    """A process was killed while it wrote: its last transaction is undone in a copy."""
+    """After a kill during writing, the last transaction is rolled back in a copy."""
     genomes, _ = written(tmp_path)
     writer = sqlite3.connect(tmp_path / FILE)
     writer.execute("PRAGMA cache_spill = 1")
@@ -408,7 +408,7 @@ def test_reading_needs_no_write_access(tmp_path):
 
 
 @pytest.mark.parametrize("name", [FILE, ".lock", f"{FILE}-journal"])
-def test_a_pipe_is_not_waited_for(tmp_path, name):
+def test_opening_a_journal_never_waits_for_a_pipe(tmp_path, name):
     written(tmp_path)
     (tmp_path / name).unlink(missing_ok=True)
     os.mkfifo(tmp_path / name)
@@ -423,14 +423,14 @@ def test_a_pipe_is_not_waited_for(tmp_path, name):
     assert not is_in_use(tmp_path)
 
 
-def test_a_lock_never_empties_the_file_it_points_to(tmp_path):
+def test_locking_does_not_truncate_the_target_of_a_symlink(tmp_path):
     (tmp_path / "other").write_text("precious")
     (tmp_path / ".lock").symlink_to(tmp_path / "other")
     written(tmp_path)
     assert (tmp_path / "other").read_text() == "precious"
 
 
-def test_a_journal_can_be_looked_at_while_it_is_written(tmp_path):
+def test_a_journal_can_be_read_while_it_is_written(tmp_path):
     with Journal.create(tmp_path, {"a": 1}) as journal:
         journal.begin()
         with Journal(tmp_path, read_only=True) as other:
@@ -440,7 +440,7 @@ def test_a_journal_can_be_looked_at_while_it_is_written(tmp_path):
     assert not is_in_use(tmp_path)
 
 
-def test_sessions_tell_when_they_began_and_ended(tmp_path):
+def test_sessions_record_their_start_and_end(tmp_path):
     with Journal.create(tmp_path, CONFIGURATION) as journal:
         journal.begin()
         journal.begin()

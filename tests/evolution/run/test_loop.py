@@ -1,4 +1,4 @@
-"""A run's record: what it holds, that it repeats, and that it survives being stopped."""
+"""The record of a run: contents, reproducibility, interruption and resuming."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ from evolution.run.journal import Journal, fingerprint
 from evolution.run.loop import evolve, resume
 
 SHORT = Physics(num_segments=2, timestep_s=0.01)
-#: So stiff, and so coarsely stepped, that every robot's integration breaks down at once.
+#: Physics so stiff, with so long a timestep, that every simulation diverges at once.
 BROKEN = Physics(
     num_segments=2, integrator="implicitfast", timestep_s=0.01,
     axial_stiffness_n_m=1e5, axial_damping_n_s_m=0.0,
@@ -52,7 +52,7 @@ def run(tmp_path_factory):
 # The record
 
 
-def test_each_genome_is_evaluated_once_and_elites_never_again(run):
+def test_each_genome_is_evaluated_only_once(run):
     folder, result = run
     assert CONFIG.evaluations() == 4 + 2 * 2
     assert column(folder, "generation").tolist() == [0] * 4 + [1] * 2 + [2] * 2
@@ -79,7 +79,7 @@ def test_columns_are_the_outcome_and_all_genes_by_name(run):
     ]  # fmt: skip
 
 
-def test_a_row_of_the_record_crawls_exactly_as_far_again(run):
+def test_simulating_a_recorded_row_again_gives_the_same_outcome(run):
     folder, _ = run
     some = [rows(folder)[i] for i in (0, 7)]
     bodies = [Morphology.of({name: row[name] for name in NAMES}) for row in some]
@@ -112,7 +112,7 @@ def test_best_fitness_never_gets_worse(run):
     assert best_m == [fitness[generation <= g].max() for g in range(3)]
 
 
-def test_generations_are_reported_when_they_are_recorded(run):
+def test_generation_summaries_match_the_recorded_rows(run):
     folder, result = run
     fitness, generation = column(folder, "fitness"), column(folder, "generation")
     labels = np.array([row["failure"] for row in rows(folder)])
@@ -138,17 +138,17 @@ def test_run_writes_only_its_record(run):
     assert {p.name for p in folder.iterdir()} == {"journal.sqlite", ".lock", "best.json"}
 
 
-# Repeating
+# Reproducibility
 
 
-def test_equal_seeds_give_equal_bits_at_any_number_of_threads(run, tmp_path):
+def test_equal_seeds_give_equal_results_for_any_number_of_threads(run, tmp_path):
     folder, _ = run
     evolve(CONFIG, tmp_path, evaluator=LocalEvaluator(2))
     assert load(tmp_path).table().equals(load(folder).table())
     assert (tmp_path / "best.json").read_bytes() == (folder / "best.json").read_bytes()
 
 
-# Being stopped
+# Interruption
 
 
 def test_interrupt_keeps_the_finished_generations(tmp_path, invented):
@@ -163,7 +163,7 @@ def test_interrupt_keeps_the_finished_generations(tmp_path, invented):
     assert Robot.load(tmp_path).to_dict() == result.best_robot.to_dict()
 
 
-def test_interrupt_within_a_generation_leaves_no_part_of_it(tmp_path):
+def test_interrupt_within_a_generation_records_no_part_of_it(tmp_path):
     whole = 0
 
     def count(summary):
@@ -190,7 +190,7 @@ def test_interrupt_before_the_first_generation_leaves_an_empty_record(tmp_path):
     assert not (tmp_path / "best.json").exists()
 
 
-def test_progress_runs_from_nothing_to_all_in_each_generation(tmp_path):
+def test_progress_rises_from_zero_to_one_in_each_generation(tmp_path):
     shares = []
     config = RunConfig(generations=1, physics=SHORT, ga=GaConfig(population=2, hall_of_fame=0))
     evolve(config, tmp_path, evaluator=ONE, on_progress=shares.append)
@@ -212,7 +212,7 @@ def test_progress_counts_the_chunks_that_were_evaluated_before(tmp_path, monkeyp
 
 @pytest.mark.parametrize("failed_fitness", [0.0, 0.001])
 def test_run_in_which_all_robots_fail_finishes(tmp_path, monkeypatch, failed_fitness):
-    monkeypatch.chdir(tmp_path)  # MuJoCo leaves its log where it runs
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its log to the working directory
     ga = GaConfig(population=4, hall_of_fame=1)
     config = RunConfig(generations=3, failed_fitness=failed_fitness, physics=BROKEN, ga=ga)
     result = evolve(config, tmp_path / "run", evaluator=ONE)
@@ -236,7 +236,7 @@ def test_a_robot_that_failed_is_never_the_best(tmp_path, monkeypatch):
 # Folders
 
 
-def test_folder_that_holds_something_is_refused_and_left_alone(tmp_path):
+def test_non_empty_folder_is_refused_and_not_changed(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(CaterpillarError, match="is not empty; choose another"):
         evolve(TINY, tmp_path)
@@ -251,7 +251,7 @@ def test_folder_below_a_file_is_refused(tmp_path):
         assert "\n" not in str(refused.value)
 
 
-# Going on
+# Resuming
 
 
 KINDS = [
@@ -273,7 +273,7 @@ MORE_KINDS = [
     [*KINDS, *(pytest.param(kind, marks=pytest.mark.slow) for kind in MORE_KINDS)],
     ids=lambda kind: "-".join(map(str, kind.values()))[:30],
 )
-def test_interrupted_and_resumed_equals_uninterrupted(tmp_path, settings):
+def test_resumed_run_equals_an_uninterrupted_run(tmp_path, settings):
     config = RunConfig(
         seed=5, generations=4, physics=SHORT, ga=GaConfig(population=4, hall_of_fame=1), **settings
     )  # fmt: skip
@@ -305,7 +305,7 @@ def test_resuming_a_finished_run_evaluates_nothing(run, tmp_path):
     assert again.best_robot.to_dict() == result.best_robot.to_dict()
 
 
-def test_a_run_can_be_made_longer_and_not_shorter(tmp_path, invented):
+def test_a_run_can_be_made_longer_but_not_shorter(tmp_path, invented):
     evolve(TINY, tmp_path / "short", evaluator=invented)
     longer = resume(tmp_path / "short", generations=5, evaluator=invented)
     evolve(replace(TINY, generations=5), tmp_path / "long", evaluator=invented)
@@ -328,7 +328,7 @@ def test_every_chunk_is_recorded_with_its_own_genomes(tmp_path, monkeypatch, inv
     assert np.array_equal(recorded, proposed)
 
 
-def test_generation_of_which_a_part_is_known_is_completed(tmp_path, monkeypatch, invented):
+def test_partly_evaluated_generation_is_completed_on_resume(tmp_path, monkeypatch, invented):
     monkeypatch.setattr("evolution.run.evaluators.CHUNK", 2)
     whole = evolve(CONFIG, tmp_path / "whole", evaluator=invented)
     seen = []
@@ -370,7 +370,7 @@ def test_resume_reports_other_versions(tmp_path, monkeypatch, invented):
     assert "(now 9.9.9)" in warnings[0]
 
 
-def test_journal_from_before_targets_continues_with_breeding_elites(tmp_path, invented):
+def test_journal_without_target_m_continues_with_breeding_elites(tmp_path, invented):
     config = replace(CONFIG, ga=replace(CONFIG.ga, elites_breed=True))
     evolve(config, tmp_path / "whole", evaluator=invented)
     evolve(replace(config, generations=1), tmp_path / "part", evaluator=invented)
@@ -383,11 +383,11 @@ def test_journal_from_before_targets_continues_with_breeding_elites(tmp_path, in
     part, whole = load(tmp_path / "part").table(), load(tmp_path / "whole").table()
     assert part.drop("session").equals(whole.drop("session"))
     evolve(CONFIG, tmp_path / "now", evaluator=invented)
-    assert not whole.equals(load(tmp_path / "now").table())  # whose elites do not breed
+    assert not whole.equals(load(tmp_path / "now").table())  # here, elites do not breed
 
 
 class Halves:
-    """An optimizer from elsewhere: asks for the middle, then ever nearer to a corner."""
+    """A custom optimizer that asks for the middle first and then approaches a corner."""
 
     def __init__(self, num_genes):
         self.at = np.full((2, num_genes), 0.5)
@@ -416,7 +416,7 @@ def test_custom_optimizer_runs_and_resumes(tmp_path, invented):
 
 
 def thrift(outcomes):
-    """An objective from elsewhere, under which the laziest robot is the best."""
+    """A custom objective that prefers the robot with the lowest energy."""
     return 1000 - outcomes.energy_j
 
 
@@ -443,7 +443,7 @@ def test_optimizer_receives_values_of_a_custom_objective(tmp_path, invented):
     assert received == expected
 
 
-def test_run_with_a_custom_objective_needs_it_to_continue(tmp_path, invented):
+def test_resuming_a_run_with_a_custom_objective_requires_the_objective(tmp_path, invented):
     evolve(CONFIG, tmp_path / "whole", evaluator=invented, objective=thrift)
     evolve(replace(CONFIG, generations=2), tmp_path / "part", evaluator=invented, objective=thrift)
     with pytest.raises(CaterpillarError, match=r"your own objective \(thrift\); .*objective=\.\.\."):
@@ -464,7 +464,7 @@ def test_run_with_a_custom_objective_needs_it_to_continue(tmp_path, invented):
         lambda outcomes: outcomes.energy_j.sum(),
     ],
 )
-def test_an_objective_that_gives_no_fitness_is_refused(tmp_path, objective, invented):
+def test_an_objective_that_returns_invalid_values_is_refused(tmp_path, objective, invented):
     with pytest.raises(CaterpillarError, match=r"must return 4 finite numbers, .* shape \(4,\); got"):
         evolve(CONFIG, tmp_path / "run", evaluator=invented, objective=objective)
 

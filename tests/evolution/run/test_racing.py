@@ -1,4 +1,4 @@
-"""Racing: the best share of a generation goes on, and everything else stays as it was."""
+"""Racing: the best share of a generation continues, with the same outcomes as without racing."""
 
 from dataclasses import replace
 
@@ -46,7 +46,7 @@ def test_leaders_are_the_best_in_order_of_their_index():
     assert leaders(fitness, 5).tolist() == [0, 1, 2, 3]  # a failed robot never leads
 
 
-def test_leaders_end_as_without_a_race(raced, complete):
+def test_leaders_have_the_same_outcomes_as_without_racing(raced, complete):
     went_on = raced.simulated_s > 10.0
     assert went_on.sum() == 3  # 0.3 of 7, rounded up
     for one, other in zip(raced, complete, strict=True):
@@ -61,18 +61,18 @@ def test_other_robots_stop_after_two_periods(raced):
     np.testing.assert_equal(raced.rows(behind), early.rows(behind))
 
 
-def test_leaders_were_ahead(raced):
+def test_leaders_have_the_best_fitness_after_two_periods(raced):
     early = run_job(Job(GENOMES, 10.0), ENCODING, threads=1).outcomes
     went_on = raced.simulated_s > 10.0
     assert early.fitness()[went_on].min() > early.fitness()[stopped(raced)].max()
 
 
-def test_seconds_are_those_that_were_simulated(raced, complete):
+def test_simulated_time_of_stopped_robots_ends_after_two_periods(raced, complete):
     expected = np.where(stopped(raced), 10.0, complete.simulated_s)
     np.testing.assert_array_equal(raced.simulated_s, expected)
 
 
-def test_state_in_mid_episode_continues_bit_for_bit(complete):
+def test_simulation_continues_bit_for_bit_from_a_state_in_mid_episode(complete):
     half = run_job(Job(GENOMES, 12.3), ENCODING, threads=1)
     rows = np.array([5, 1, 2])
     rest = run_job(Job(GENOMES[rows], 30.0, half.end.rows(rows)), ENCODING, threads=2)
@@ -81,7 +81,7 @@ def test_state_in_mid_episode_continues_bit_for_bit(complete):
 
 
 class WithFailures(LocalEvaluator):
-    """Calls the first four robots failed after two periods, far ahead of the others."""
+    """Marks the first four robots as failed after two periods, far ahead of the others."""
 
     def map(self, encoding, jobs, on_progress=None):
         for job, result in zip(jobs, super().map(encoding, jobs, on_progress), strict=True):

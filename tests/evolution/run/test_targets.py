@@ -1,4 +1,4 @@
-"""Runs end with the first generation that gets as far as was asked, resumed or not."""
+"""Runs end with the first generation that reaches the target, also if they are resumed."""
 
 import re
 import shutil
@@ -38,7 +38,7 @@ every_kind = pytest.mark.parametrize("kind", KINDS)
 
 
 class Whole:
-    """A run of all generations, and the first in the middle that gets farther than all before it."""
+    """A complete run, and its first middle generation that gets farther than all earlier generations."""
 
     def __init__(self, folder, config, generations):
         self.folder, self.config, self.generations = folder, config, generations
@@ -57,7 +57,7 @@ def recorded(folder):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory, invented):
-    """Takes a kind of run; the first seed whose robots get farther in the middle."""
+    """Return a function that gives the first run of a kind whose robots get farther in the middle."""
 
     @cache
     def run(kind):
@@ -95,9 +95,7 @@ def test_unreached_target_changes_only_the_message(whole, tmp_path, invented):
 
 
 @every_kind
-def test_a_run_that_is_resumed_before_its_target_ends_where_it_would_have(
-    whole, tmp_path, kind, invented
-):
+def test_a_run_resumed_before_its_target_ends_like_an_uninterrupted_run(whole, tmp_path, kind, invented):
     found = whole(kind)
 
     def stop(generation):
@@ -144,7 +142,7 @@ def reached(whole, tmp_path_factory, invented):
     return folder
 
 
-@pytest.mark.parametrize("noted", [True, False], ids=["noted", "killed before that was noted"])
+@pytest.mark.parametrize("noted", [True, False], ids=["recorded", "killed before recording"])
 @pytest.mark.parametrize("generations", [None, 9])
 def test_a_run_at_its_target_evaluates_nothing_more(reached, tmp_path, generations, noted, invented):
     folder = tmp_path / "run"
@@ -184,7 +182,7 @@ def test_evolve_and_the_page_say_why_a_run_ended(tmp_path, capsys):
     assert f"\nfinished: {why}" in capsys.readouterr().err
     page = (tmp_path / "run" / "report.html").read_text("utf-8")
     assert "2 generations or a target of 0.001 mm," in page
-    assert f"<p>Why it ended: {why}" in page
+    assert f"<p>Why the run ended: {why}" in page
     assert "caterpillar resume" not in page  # it would do nothing
     assert "<tr><td>target_m<td>1e-06<td>null</tr>" in page
 
@@ -213,7 +211,7 @@ def test_an_invalid_target_is_refused_and_leaves_no_folder(tmp_path, capsys, val
 
 
 class Told(LocalEvaluator):
-    """An evaluator that makes up what becomes of each genome."""
+    """An evaluator that returns the given outcomes."""
 
     def __init__(self, outcomes):
         super().__init__(1)
@@ -224,9 +222,9 @@ class Told(LocalEvaluator):
             yield Result(self.outcomes, None)
 
 
-def test_a_failure_reaches_no_target_and_the_objective_does_not_matter(tmp_path):
+def test_targets_ignore_failed_robots_and_the_objective(tmp_path):
     failure = np.array([Failure.VEERED, 0, 0], dtype=np.int8)
-    # The first veered beyond the target; the second is the best, the third the one that gets farthest.
+    # The first robot veered beyond the target. The second is the best, and the third gets farthest.
     outcomes = Outcomes(failure, np.array([0.9, 0.1, 0.2]), np.array([1.0, 1.0, 9.0]), np.full(3, 30.0))
     ga = GaConfig(population=3, hall_of_fame=0)
     asked = RunConfig(generations=2, objective="distance-per-energy", physics=SHORT, ga=ga)

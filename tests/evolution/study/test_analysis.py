@@ -107,8 +107,8 @@ def test_final_distances(analysis):
     assert rows["ga-preprocessed"].a12.value == 1.0
     assert rows["random-preprocessed"].a12.value == 0.0
     assert rows["random-preprocessed"].failed == pytest.approx(5 / 40)
-    # 4 against 4 separate values: exactly 2 / C(8, 4). The other arm has ties: normal approximation,
-    # which is the smaller p value of the two tests. Holm's correction doubles it, and it bounds both.
+    # 4 against 4 separate values: exactly 2 / C(8, 4). The other arm has ties, so its p value is a
+    # normal approximation. It is the smaller p value. Holm's correction doubles it for both arms.
     tied = 2 * stats.norm.sf((8 - 0.5) / np.sqrt(16 / 12 * (9 - 60 / 56)))
     assert tied < 2 / 70
     assert rows["random-preprocessed"].mann_whitney_p == pytest.approx(2 * tied)
@@ -160,7 +160,7 @@ def test_threshold_is_the_median_of_the_reference(few_draws):
     fast = runs("ga-preprocessed", [ramp(step, step) for step in (0.02, 0.03, 0.04, 0.05)])
     found = analyse(with_own_thresholds(), Results(polars.concat([uniform, fast]), []))
     base, row = found.times[THRESHOLD]
-    assert base.threshold_m == row.threshold_m == pytest.approx(0.225)  # of 90, 180, 270, 360 mm
+    assert base.threshold_m == row.threshold_m == pytest.approx(0.225)  # median of 90, 180, 270, 360 mm
     assert (base.reached, row.reached) == (2, 3)
     # 100 + 100 + 90 + 70 s, against 100 + 80 + 60 + 50 s
     assert row.speed_up.value == pytest.approx(360 / 2 / (290 / 3))
@@ -180,14 +180,14 @@ def test_threshold_is_unknown_until_the_reference_has_runs(few_draws):
     (row,) = found.times[THRESHOLD]
     assert np.isnan(row.threshold_m)
     assert (row.reached, row.speed_up, found.speed_ups) == (0, None, {})
-    assert "after 2 generations is not known yet, or 0." in summarize(found)[0]
+    assert "after 2 generations is 0 or not known yet." in summarize(found)[0]
 
 
 @pytest.mark.slow
 def test_log_rank_test_keeps_its_level_with_the_median_of_the_reference():
     rng, rejected, trials = np.random.default_rng(4), 0, 2000
     for _ in range(trials):
-        # Two groups of ten runs with equal laws: each crawls at its own speed for 50 steps.
+        # Two groups of ten runs with equal distributions. Each crawls at its own speed for 50 steps.
         speed = rng.lognormal(sigma=0.5, size=(2, 10))
         threshold = 50 * np.median(speed[0])
         time = np.ceil(threshold / speed)

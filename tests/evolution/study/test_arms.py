@@ -45,7 +45,7 @@ def test_recorded_run_matches_its_arm_seed_and_budget(run):
     history = History.read(run)
     assert ARM.matches(history, 3, 80.0)
     assert not ARM.matches(history, 4, 80.0)
-    assert ARM.matches(history, 3, 90.0)  # a run can go on
+    assert ARM.matches(history, 3, 90.0)  # a run can be extended
     assert not EvolutionArm(RunConfig()).matches(history, 3, 80.0)
 
 

@@ -34,7 +34,7 @@ def test_toml_and_plain_data_describe_the_same_study():
     assert read_toml(TOML) == StudyConfig.from_dict(SMALL)
 
 
-def test_study_survives_json():
+def test_study_round_trips_through_json():
     config = StudyConfig.from_dict(SMALL)
     assert StudyConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
 
@@ -88,7 +88,7 @@ def test_arms_can_have_their_own_references():
     assert [config.reference_of(arm) for arm in arms] == ["ga-uniform", "ga-uniform", "b", "b"]
 
 
-def test_conjecture_compares_each_robot_with_itself():
+def test_arms_of_the_conjecture_differ_in_the_prior_from_their_reference():
     config, sizes = preset("conjecture"), set()
     for name, arm in config.arms.items():
         base = config.arms[config.reference_of(name)]

@@ -24,7 +24,7 @@ SMALL = tomllib.loads(Path(__file__).with_name("small.toml").read_text("utf-8"))
 
 @pytest.fixture
 def analysis():
-    """The part of an analysis that these functions need first, of a study without runs."""
+    """The part of an analysis that these functions need first, for a study without runs."""
     config = StudyConfig.from_dict(SMALL)
     return SimpleNamespace(config=config, runs={})
 
@@ -42,14 +42,14 @@ TEXTS = [
 
 
 @pytest.mark.parametrize("text", TEXTS, ids=range(len(TEXTS)))
-def test_winners(tmp_path, analysis, text):
+def test_damaged_winners_are_refused(tmp_path, analysis, text):
     (tmp_path / "winners").mkdir()
     (tmp_path / "winners" / "winners.json").write_text(text)
     with pytest.raises(CaterpillarError, match=r"winners\.json.* (remove|not JSON)"):
         retest_winners(analysis, tmp_path)
 
 
-def test_the_table_of_evaluations(tmp_path):
+def test_an_unreadable_or_incomplete_table_is_refused(tmp_path):
     assert read_kept(tmp_path) == {}
     (tmp_path / DATA).write_bytes(b"no table")
     with pytest.raises(CaterpillarError, match=r"cannot read .*restore a copy"):
@@ -95,7 +95,7 @@ def test_a_damaged_table_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("place", [3, 400, -9, -20, -200])
-def test_a_damaged_table_without_a_digest_gives_no_panic(tmp_path, place):
+def test_a_damaged_table_without_a_digest_raises_an_error(tmp_path, place):
     numbers = np.random.default_rng(0).random(500)
     table = polars.DataFrame({"arm": ["a"] * 500, "seed": [1] * 500, "distance_m": numbers})
     table.write_parquet(tmp_path / DATA)
@@ -106,7 +106,7 @@ def test_a_damaged_table_without_a_digest_gives_no_panic(tmp_path, place):
         read_kept(tmp_path)
 
 
-def test_the_settings(tmp_path):
+def test_damaged_settings_are_detected_or_harmless(tmp_path):
     config = StudyConfig.from_dict(SMALL)
     begin(config, tmp_path)
     content, rng = bytearray((tmp_path / "study.json").read_bytes()), np.random.default_rng(0)

@@ -153,11 +153,11 @@ def test_target_ecdf_counts_pairs():
     assert statistics.target_ecdf(times, grid) == pytest.approx([0, 0.25, 0.5, 0.75])
 
 
-# Other packages. They are large, so that `test` does not install them: pip install lifelines rliable
+# Other packages. They are too large for the extra `test`: pip install lifelines rliable
 
 
 def draw_censored(seed, scale, runs=21):
-    """Times of runs of which some are censored, at two budgets. The share is never exactly one half."""
+    """Times of runs, some censored at one of two budgets. The share is never exactly one half."""
     rng = np.random.default_rng(seed)
     time = np.ceil(rng.exponential(scale, runs))  # with ties
     budget = np.where(np.arange(runs) % 3 == 0, 120.0, 60.0)
@@ -187,7 +187,7 @@ def test_survival_agrees_with_lifelines(scale):
         assert ours.median.low == low
         if (
             ours.share[-1] > 0
-        ):  # at a share of 0, the upper bound of lifelines is 0, and ours the last one
+        ):  # at a share of 0, the upper bound of lifelines is 0, and ours keeps the last defined bound
             assert ours.median.high == high
         other = draw_censored(100 + seed, 40.0)
         expected = logrank_test(time, other[0], reached, other[1]).p_value

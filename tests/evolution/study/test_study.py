@@ -51,7 +51,7 @@ def finished(studied):
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory):
-    """A study with a single seed, all of whose runs ended, and its folder."""
+    """A finished study with a single seed, and its folder."""
     config, folder = StudyConfig.from_dict(changed(seeds=[0])), tmp_path_factory.mktemp("uninterrupted")
     begin(config, folder)
     assert run_study(config, folder, Processes(2)) == []
@@ -120,7 +120,7 @@ def test_progress_of_a_run_is_read_from_its_journal(finished):
 
 
 class Waiting:
-    """Workers whose runs wait until their progress was reported."""
+    """Workers whose runs wait until their progress is reported."""
 
     count = 2
 
@@ -193,7 +193,7 @@ def test_a_study_can_be_read_while_it_runs(finished):
 
 
 @pytest.mark.slow
-def test_runs_of_a_study_that_is_killed_end_with_it(tmp_path):
+def test_runs_end_if_their_study_is_killed(tmp_path):
     (tmp_path / "small.toml").write_text(TOML)
     parent = subprocess.Popen(
         [sys.executable, "-c", "from evolution.cli import main; main(['study', 'small.toml'])"],
@@ -213,11 +213,11 @@ def test_runs_of_a_study_that_is_killed_end_with_it(tmp_path):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_cells_on_ray_give_the_same_bits(uninterrupted, tmp_path):
-    """First more cells than cores, and then a single one, whose genomes are evaluated on the cluster."""
+    """Run more cells than cores, then a single cell, whose genomes are evaluated on the cluster."""
     ray = pytest.importorskip("ray")
     config, finished = uninterrupted
     begin(config, tmp_path)
-    own = {"address": "local", "num_cpus": 2, "include_dashboard": False}  # not that of another test
+    own = {"address": "local", "num_cpus": 2, "include_dashboard": False}  # not another test's cluster
     with ray.init(**own, log_to_driver=False, logging_level="ERROR"):
         assert run_study(config, tmp_path, RayTasks()) == []
         assert collect(config, tmp_path).table.equals(collect(config, finished).table)
@@ -349,7 +349,7 @@ def test_study_with_a_failed_run_exits_with_status_1(finished, tmp_path, monkeyp
     assert "cma-es seed 1 failed: no space" in capsys.readouterr().err
 
 
-def test_best_robots_are_simulated_again_once(finished, capsys):
+def test_best_robots_are_simulated_again_only_once(finished, capsys):
     rows = json.loads((finished / "winners" / "winners.json").read_text())
     assert {row["arm"] for row in rows} == set(SMALL["arms"])
     for row in rows:
@@ -411,7 +411,7 @@ def test_unfinished_and_longer_runs_continue_from_the_table_alone(finished, tmp_
     assert results.table.filter(others).equals(whole.filter(others))
 
 
-def test_longer_record_of_a_run_counts(finished, tmp_path):
+def test_longer_record_of_a_run_is_used(finished, tmp_path):
     config, table = load(finished), polars.read_parquet(finished / DATA)
     begin(config, tmp_path)
     cell = config.cells()[0]
@@ -419,7 +419,7 @@ def test_longer_record_of_a_run_counts(finished, tmp_path):
     arm, folder = config.arms[cell.arm], cell.folder(tmp_path)
     arm.restore(rows.filter(polars.col("generation") < 2), folder, cell.seed, config.budget_s)
     assert len(collect(config, tmp_path).missing) == len(config.cells())
-    rows.write_parquet(tmp_path / DATA)  # of another machine, with more generations
+    rows.write_parquet(tmp_path / DATA)  # from another machine, with more generations
     (tmp_path / DIGEST).unlink()
     assert cell not in collect(config, tmp_path).missing
     rows.filter(polars.col("generation") < 1).write_parquet(tmp_path / DATA)  # with fewer generations

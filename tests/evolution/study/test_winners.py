@@ -153,7 +153,7 @@ def test_best_robot_of_every_run_is_simulated_under_the_conditions(compare, tmp_
     assert (winner.seed, winner.reference_m) == (2, robots[2].simulate(0.005).distance_m[0])
 
 
-def test_robots_that_fail_count_apart_from_the_others(compare, tmp_path, monkeypatch):
+def test_failed_robots_are_counted_separately(compare, tmp_path, monkeypatch):
     for seed in (0, 1):
         Cell("a", seed).folder(tmp_path).mkdir(parents=True)
 
@@ -196,7 +196,7 @@ def test_further_conditions_need_the_saved_robots_only(compare, tmp_path, monkey
         assert found.comparisons[1].failed == 1
 
 
-def test_robot_is_made_again_from_the_table_of_evaluations(tmp_path, invented):
+def test_robot_is_restored_from_the_table_of_evaluations(tmp_path, invented):
     data = tomllib.loads(Path(__file__).with_name("small.toml").read_text("utf-8"))
     config = StudyConfig.from_dict({**data, "seeds": [3], "arms": {"ga-uniform": {"prior": "uniform"}}})
     begin(config, tmp_path)

@@ -11,7 +11,7 @@ def server():
 
 @pytest.fixture
 def client(server):
-    """A server used as a client of its own. All clients share its scene and controls."""
+    """The server in the role of a client. All clients share its scene and controls."""
     yield server
     server.scene.reset()
     server.gui.reset()

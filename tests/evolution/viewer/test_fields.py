@@ -54,7 +54,7 @@ def test_both_bounds_can_be_set_and_change_no_other_field(name, timing):
                 assert (changed.fitness_m, changed.generation, changed.evaluation) == (None,) * 3
 
 
-def test_bounds_of_the_body_are_those_of_the_morphology_in_display_units():
+def test_bounds_of_the_body_match_the_morphology_in_display_units():
     robot = wave_robot()
     body = [field for field in fields_of(robot) if field.folder == "body"]
     factors = {"m": 1000, "kg": 1000, "rad": 180 / np.pi}
@@ -92,7 +92,7 @@ def test_values_out_of_bounds_are_clipped(value):
         assert field.read(field.write(robot, value)) == field.bounds[value > 0]
 
 
-def test_a_delay_moves_the_pairs_that_count_from_it():
+def test_a_delay_shifts_all_pairs_that_depend_on_it():
     robot = wave_robot()
     (delay,) = (f for f in fields_of(robot, "phase") if f.gene.name == "gap2_dorsal_delay")
     before, after = robot.timings, delay.write(robot, delay.read(robot) + 10.0).timings

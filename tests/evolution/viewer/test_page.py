@@ -123,7 +123,7 @@ def test_a_slider_changes_one_parameter(hand):
     hand.widgets["segment radius, mm"].value = 13.0
     hand.wait(lambda: hand.robot is not ROBOT)
     expected = replace(ROBOT.morphology, segment_radius_m=0.013)
-    assert hand.robot.morphology == expected  # and the length is not the rounded one
+    assert hand.robot.morphology == expected  # the length keeps its exact value
     hand.widgets["friction"].value = 0.5
     hand.wait(lambda: hand.robot.physics.friction == 0.5)
     hand.widgets["gap1 ventral off, s"].value = 1.8
