@@ -64,16 +64,18 @@ def _summarize(history: History) -> dict[str, Any]:
         training = history.configuration
         row["optimizer"] = f"{training.get('algorithm')} {training.get('mode')}"
         row["prior"], row["seed"] = training.get("prior", "uniform"), training.get("seed")
-        total = training.get("evaluations")
+        total, budget_s = None, training.get("budget_s")
     else:
         config = history.config
         row["optimizer"] = history.own_optimizer or config.optimizer
         row["prior"], row["seed"] = config.prior, config.seed
-        total = config.generations if config.budget_s is None else None
+        total, budget_s = config.generations, config.budget_s
     done = len(history.generations)
     ended = "finished" if history.finished else "stopped"
     row["state"] = "running" if is_in_use(history.folder) else ended
-    row["generation"] = str(done) if total is None else f"{done} of {total}"
+    row["generation"] = f"{done} of {total}"
+    if budget_s is not None:
+        row["generation"] = f"{done} ({100 * min(history.simulated_s / budget_s, 1.0):.0f} %)"
     row["evaluations"] = len(history.evaluations)
     row["best, mm"] = history.best and round(1000 * history.best.distance_m, 1)
     return row

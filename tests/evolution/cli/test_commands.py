@@ -302,3 +302,18 @@ def test_preprocess_prints_a_table_with_every_gene(elsewhere, capsys, monkeypatc
         assert name in captured.out
     assert "d.png" in captured.err
     assert (elsewhere / "d.png").exists()
+
+
+# runs
+
+
+def test_runs_with_a_budget_show_the_spent_share(tmp_path, invented, capsys):
+    config = RunConfig(budget_s=400.0, ga=GaConfig(population=4, hall_of_fame=1))
+
+    def stop(generation):
+        raise KeyboardInterrupt
+
+    history = evolve(config, tmp_path / "run", evaluator=invented, on_generation=stop)
+    assert cli.main(["runs", str(tmp_path), "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert row["generation"] == f"1 ({100 * history.simulated_s / 400:.0f} %)"
