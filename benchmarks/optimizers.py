@@ -340,7 +340,7 @@ def main() -> None:
                 continue
             rows.append(finished.result())
             polars.DataFrame(rows).sort("optimizer", "seed").write_csv(file)
-    table = polars.DataFrame(rows)
+    table = polars.DataFrame(rows).sort("optimizer", "seed")  # on whose order the bootstrap depends
     parts = [table.filter(optimizer=name) for name in NAMES]
     report("optimizers", [summarize(part, parts[0]) for part in parts if len(part)])
 
