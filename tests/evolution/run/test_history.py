@@ -126,7 +126,7 @@ def test_a_run_with_a_budget_is_listed_without_a_number_of_generations(tmp_path,
     Journal.create(tmp_path / "run", replace(CONFIG, budget_s=240.0).to_dict()).close()
     assert cli.main(["runs", str(tmp_path), "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
-    assert row["generation"] == "0"
+    assert row["generation"] == "0 (0 %)"
 
 
 def test_a_run_in_progress_is_listed_as_running(runs, capsys):
