@@ -34,7 +34,10 @@ def test_winners_are_tested_in_the_world_of_every_arm(tmp_path, capsys):
     for row in matrix:
         assert list(row)[2:] == ["flat", "rough", "rough:seed=1000"]
         for world in list(row)[2:]:
-            assert 0 <= row[world]["low"] <= row[world]["median"] <= row[world]["high"]
+            median, low, high = row[world].values()
+            assert median >= 0
+            if row["robots"] > 1:  # the interval of a single robot is unknown
+                assert 0 <= low <= median <= high
     own_mm = [run["flat"]["median"] for run in matrix]
     assert own_mm[0] > 0
     assert len(bodies) == 8
