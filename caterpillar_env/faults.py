@@ -26,7 +26,7 @@ class Faults:
         CaterpillarError: a value has the wrong type or is out of range.
     """
 
-    springs: int = 1  #: number of springs that fail, sampled anew in every episode
+    springs: int = 1  #: number of springs that fail; every episode samples which ones
     power: float = 0.0  #: share of the drive power that failed springs keep; 0 for dead springs
     time_s: tuple[float, ...] = (0.0, 0.0)  #: earliest and latest time of the failure, since reset
 

@@ -44,8 +44,9 @@ def compute_trajectory(robot: Robot, offset_m: float = 0.0) -> tuple[Array, str]
     if offset_m:
         crawl.reset(offset=np.full_like(crawl.simulation.state().joint_position, offset_m))
     points = []
+    power = robot.power()[None]
     for end in range(1, round(EPISODE_S / SAMPLE_S) + 1):
-        repeat(crawl, robot.power()[None], end * SAMPLE_S)
+        repeat(crawl, power, end * SAMPLE_S)
         points.append(crawl.simulation.state().com_m[0])
     return np.array(points), Failure(crawl.failure[0]).label
 

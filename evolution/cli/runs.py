@@ -73,8 +73,9 @@ def _summarize(history: History) -> dict[str, Any]:
     done = len(history.generations)
     ended = "finished" if history.finished else "stopped"
     row["state"] = "running" if is_in_use(history.folder) else ended
-    row["generation"] = f"{done} of {total}"
-    if budget_s is not None:
+    if budget_s is None:
+        row["generation"] = f"{done} of {total}"
+    else:
         row["generation"] = f"{done} ({100 * min(history.simulated_s / budget_s, 1.0):.0f} %)"
     row["evaluations"] = len(history.evaluations)
     row["best, mm"] = history.best and round(1000 * history.best.distance_m, 1)
