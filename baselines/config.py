@@ -53,8 +53,8 @@ class TrainConfig:
     budget_s: float = 30_000.0  #: simulated seconds of training and evaluation
     evaluations: int = 20  #: number of evaluations of the policy, spread over the budget
     morphology: Morphology = field(default_factory=Morphology)  #: body for design fixed
-    #: domain randomization during training: NAME LOW HIGH for each of friction, mismatch_std,
-    #: spring_force, mass or ambient_c, sampled uniformly at every reset
+    #: domain randomization during training: NAME LOW HIGH for each randomized quantity (friction,
+    #: mismatch_std, spring_force, mass, ambient_c), sampled uniformly at every reset
     randomize: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     #: hyperparameters that differ from those of the algorithm's file, as NAME=VALUE with dots for nested
     #: names, such as policy_kwargs.log_std_init=-2

@@ -84,7 +84,7 @@ class CaterpillarVecEnv(VecEnv):
         self.vector_env.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Render one image per row."""
+        """Return one image per environment."""
         frames = self.vector_env.render()
         return [None] * self.num_envs if frames is None else list(frames)
 

@@ -295,7 +295,7 @@ def _force(
     axes: Axes, at: Point, vector: Point | Array, text: str, *, side: int = 1, up: bool = False,
     shift: float = 0.0,
 ) -> None:  # fmt: skip
-    """Draw a force that acts at a point. The text is right (1) or left (-1) of its tip, or above it."""
+    """Draw a force at a point. `side` puts the text right (1) or left (-1) of the tip, `up` above it."""
     tip = (at[0] + vector[0], at[1] + vector[1])
     axes.annotate(
         "", tip, at, zorder=6,

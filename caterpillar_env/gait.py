@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError, show, to_array, to_number
 
-#: Default gait period: a spring takes about 1 s to heat and 2.8 s to cool by 90 %. An episode of 30 s
+#: Default gait period: a spring takes about 1 s to heat and 2.6 s to cool to 10 % austenite. An episode of 30 s
 #: has six periods.
 GAIT_PERIOD_S = 5.0
 SPRINGS_PER_GAP = 4

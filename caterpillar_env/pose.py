@@ -24,7 +24,7 @@ class Pose:
     up: Array  #: mean upward axis of the elements, (R, 3)
     forward: Array  #: mean forward axis of the elements, (R, 3)
     clearance_m: Array  #: height of the lowest point of feet and elements above the ground, (R,)
-    load_n: Array  #: vertical load on feet and body, mean over the last control interval, (R, 2)
+    load_n: Array  #: vertical load on feet and skin, mean over the last control interval, (R, 2)
 
 
 @dataclass(frozen=True)

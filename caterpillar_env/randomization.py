@@ -58,8 +58,8 @@ class Randomization:
             least, greatest = _BOUNDS[f.name]
             if not least <= low <= high <= greatest:
                 raise CaterpillarError(
-                    f"randomization of {f.name} must be two numbers in increasing order, from {least:g} "
-                    f"to {greatest:g}; got {show(value)}"
+                    f"randomization of {f.name} must be (lower, upper) with {least:g} <= lower <= upper "
+                    f"<= {greatest:g}; got {show(value)}"
                 )
             object.__setattr__(self, f.name, (low, high))
 

@@ -240,7 +240,9 @@ class Robot:
             kind = "springs" if "springs" in data["gait"] else "pairs"
             names, given = _TIMED[kind](physics.num_segments), data["gait"][kind]
             if set(given) != set(names):
-                raise CaterpillarError(f"gait.{kind} must be {', '.join(names)}; got {', '.join(given)}")
+                raise CaterpillarError(
+                    f"gait.{kind} must have the keys {', '.join(names)}; got {', '.join(given)}"
+                )
             body = data["morphology"]
             if isinstance(body, list) and body and isinstance(body[0], dict):
                 body = segments_of(tuple(map(_segment, body)), physics.num_segments)

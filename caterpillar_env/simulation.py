@@ -87,7 +87,7 @@ class Simulation:
         touching = touching_geoms(self.models[0])
         self._touching = slice(touching[0], touching[-1] + 1)  # no other geoms lie in between
         self._half_axes = np.stack([half_axes_m(model) for model in self.models])
-        self._elements = 1, 1 + physics.num_segments * ELEMENTS_PER_SEGMENT  # first, after the last
+        self._elements = 1, 1 + physics.num_segments * ELEMENTS_PER_SEGMENT  # first body, last + 1
         self._axes, self._clearance_m = np.zeros((size, 9)), np.zeros(size)  # see `Pose`
         self._ambient_c = np.full((size, 1), physics.spring.ambient_c)
         self._sma = SmaState.cold(physics.spring, (size, springs))

@@ -83,7 +83,7 @@ class SmaSpring:
     ambient_c: float = 25.0  #: air temperature, degC
     austenite_stiffness_n_m: float = 35.0  #: secant stiffness when hot, N/m: 0.70 N at 36 mm
     martensite_stiffness_n_m: float = 14.5  #: stiffness when cold, N/m; from the ratio of Young's moduli
-    austenite_rest_length_m: float = 0.016  #: hot rest length, m: turns times wire diameter, rounded up
+    austenite_rest_length_m: float = 0.016  #: hot rest length, m: just above the solid length, 15 mm
     martensite_rest_length_m: float = 0.0222  #: cold rest length, m: 0.20 N at 36 mm, the plateau
     force_limit_n: float = 0.85  #: largest force, N: 300 MPa of shear stress in the wire
     drive_current_a: float = 0.35  #: drive current while on, A; reaches 90 % austenite in about 1 s
@@ -179,7 +179,7 @@ class SmaState(NamedTuple):
 
     @classmethod
     def at(cls, spring: SmaSpring, temperature_c: Array, fraction: Array) -> SmaState:
-        """Return springs at `temperature_c`, with `fraction` limited by the branches there."""
+        """Return the state at `temperature_c`, with `fraction` clipped to the hysteresis loop."""
         xi = np.clip(
             fraction, heating_branch(spring, temperature_c), cooling_branch(spring, temperature_c)
         )

@@ -54,4 +54,5 @@ for update in range(UPDATES):
         adam.zero_grad()
         loss.backward()
         adam.step()
-    print(f"update {update}: {sum(returns) / max(len(returns), 1):5.2f} cm in {len(returns)} episodes")
+    mean = sum(returns) / max(len(returns), 1)
+    print(f"update {update}: mean return {mean:5.2f} over {len(returns)} episodes")

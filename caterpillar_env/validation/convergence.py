@@ -29,7 +29,7 @@ from caterpillar_env.validation.robots import (
 )
 
 SPREAD = 10  #: number of evolved robots whose intrinsic spread is measured
-INDEPENDENT = 12  #: number of evolved robots for the independent reference, which is ten times slower
+INDEPENDENT = 12  #: number of evolved robots for the independent reference, which is slow
 
 
 class Pair(NamedTuple):

@@ -42,7 +42,7 @@ class StudyArgs:
     def __post_init__(self) -> None:
         if (self.file is None) == (self.preset is None):
             raise CaterpillarError(
-                f"give either a TOML file or --preset {', '.join(get_args(Preset))}; got "
+                f"give a TOML file or --preset NAME (one of {', '.join(get_args(Preset))}); got "
                 f"{'neither' if self.file is None else 'both'}"
             )
         if self.processes < 0:

@@ -68,7 +68,7 @@ class Shade(GenerationalOptimizer):
         super().__init__()
         if config.shade_candidates > 1 and predict is None:
             raise CaterpillarError(
-                f"shade_candidates = {config.shade_candidates} needs predict, which chooses among them"
+                f"shade_candidates = {config.shade_candidates} needs predict, which scores them"
             )
         self._distributions, self._rng = list(distributions), rng
         self._candidates, self._predict = config.shade_candidates, predict

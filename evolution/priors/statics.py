@@ -41,7 +41,7 @@ class _Vectors(NamedTuple):
 
     e_j points forward along segment j, n_j upward from it, and s_j is the extension of its prismatic
     joint. All arrays have the shape (V, N, bodies). The vectors are the positions of the feet, the sum
-    of weight times centre over all elements, and the springs from end to end.
+    of weight times centre over all elements, and the vectors from end to end of the springs.
     """
 
     along_m: Array

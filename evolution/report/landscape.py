@@ -52,7 +52,7 @@ def sweep(
     known = {gene.name: place for place, gene in enumerate(encoding.genes)}
     if len(set(names)) != 2 or not known.keys() >= set(names):
         raise CaterpillarError(
-            f"a landscape needs two different genes of {', '.join(known)}; got {', '.join(names)}"
+            f"a landscape needs two different genes from {', '.join(known)}; got {', '.join(names)}"
         )
     first, second = (known[name] for name in names)
     points = points or _POINTS

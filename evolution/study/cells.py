@@ -78,7 +78,7 @@ def _run_in_process(errors: Connection, task: _Task) -> None:
 
 
 def _exit_with_parent() -> None:
-    """End this process when its parent is killed, so that its run can be resumed."""
+    """End this process when its parent is killed. This releases the lock of the run folder."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     multiprocessing.connection.wait([parent.sentinel])

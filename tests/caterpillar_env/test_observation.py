@@ -15,7 +15,7 @@ def crawl():
 
 
 def sense(robots, morphology, clock_s):
-    """Return the observations of all robots, with bodies at `morphology`."""
+    """Return the observations of all robots; `morphology` is the scaled value of all body parameters."""
     state, progress = robots.simulation.state(), robots.progress()
     bodies = np.full((len(state.com_m), 8), morphology)
     return observe(robots.physics, state, progress.heading_rad, bodies, clock_s)

@@ -131,9 +131,9 @@ def test_adding_a_range_does_not_change_the_other_samples():
 @pytest.mark.parametrize(
     ("ranges", "message"),
     [
-        ({"friction": (1.0, 0.5)}, "friction must be two numbers in increasing order, from 0 to 100"),
-        ({"friction": 0.5}, "must be two numbers in increasing order"),
-        ({"mass": (0.0, 1.0)}, "mass must be two numbers in increasing order, from 0.01 to"),
+        ({"friction": (1.0, 0.5)}, r"friction must be \(lower, upper\) with 0 <= lower <= upper <= 100"),
+        ({"friction": 0.5}, r"must be \(lower, upper\) with"),
+        ({"mass": (0.0, 1.0)}, r"mass must be \(lower, upper\) with 0.01 <= lower"),
         ({"ambient_c": (20.0, np.inf)}, "randomization of ambient_c"),
         ({"luck": (0, 1)}, "randomization has no luck; its fields are friction, mismatch_std"),
         ([1], "randomization must be a mapping"),

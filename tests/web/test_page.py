@@ -79,7 +79,7 @@ def test_wave_genomes_give_the_same_robot(page):
     for row, (genome, body) in enumerate(zip(genomes, bodies, strict=True)):
         robot = call(page, "decode", genome.tolist())
         np.testing.assert_allclose(robot["body"], body.to_array(), rtol=1e-12)
-        # Python rounds times to single precision.
+        # The package decodes times in single precision, like actions.
         np.testing.assert_allclose(robot["onS"], timings.on_s[row], atol=1e-6)
         np.testing.assert_allclose(robot["offS"], timings.off_s[row], atol=1e-6)
 

@@ -1,6 +1,6 @@
 import data from "./data.json";
 
-/** What decides whether a robot has failed, as means over its body; see `caterpillar_env.task.update_failures`. */
+/** The quantities that decide whether a robot has failed; see `caterpillar_env.task.update_failures`. */
 export interface Posture {
   up: number; // vertical component of the upward axis
   headingRad: number;

@@ -58,5 +58,5 @@ def test_report_writes_the_figure(history, monkeypatch, capsys):
 
 @pytest.mark.parametrize("names", [("lag", "lag"), ("lag", "nose"), ("lag",)])
 def test_landscape_requires_two_different_genes(history, names):
-    with pytest.raises(CaterpillarError, match="a landscape needs two different genes of leg_sep"):
+    with pytest.raises(CaterpillarError, match="a landscape needs two different genes from leg_sep"):
         sweep(history, names)

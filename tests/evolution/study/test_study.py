@@ -307,8 +307,8 @@ def test_report_can_be_made_again_from_the_table_alone(finished, tmp_path, capsy
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["study"], "give either a TOML file or --preset"),
-        (["study", "a.toml", "--preset", "pilot"], "give either a TOML file or --preset"),
+        (["study"], "give a TOML file or --preset NAME"),
+        (["study", "a.toml", "--preset", "pilot"], "give a TOML file or --preset NAME"),
         (["study", "nothing.toml"], "cannot read nothing.toml"),
         (["study", "broken.toml"], "broken.toml is not TOML"),
         (["report", "nowhere"], "neither a run (journal.sqlite) nor a study (study.json)"),
