@@ -55,7 +55,7 @@ class RareFlips(BaseCallback):
     def __init__(self, probability: float) -> None:
         super().__init__()
         if not 0 < probability < 1:
-            raise CaterpillarError(f"probability = {probability} must be between 0 and 1")
+            raise CaterpillarError(f"probability = {probability} must be between 0 and 1 (exclusive)")
         self._logit = float(np.log(probability / (1.0 - probability)))
 
     def _on_training_start(self) -> None:

@@ -44,20 +44,21 @@ class TrainConfig:
     """
 
     algorithm: AlgorithmName = "ppo"  #: learning algorithm of stable-baselines3
-    #: Actions. phase: delays and duties, per period; timing: on and off times; switch: every 0.5 s
+    #: actions. phase: delays and duties for a period; timing: on and off times for a period; switch:
+    #: springs on or off for 0.5 s
     mode: ActionMode = "phase"
     prior: GaitPrior = "gait"  #: gait: learn changes of the best wave; uniform: learn from scratch
     open_loop: bool = False  #: choose one action per episode (a bandit); not in switch mode
-    design: Design = "fixed"  #: fixed: one body; otherwise the prior from which CMA-ES evolves the body
-    seed: int = 0  #: seed of the training run; --mismatch-seed sets the spring strengths
+    design: Design = "fixed"  #: fixed: one body; uniform, body: CMA-ES evolves the body from this prior
+    seed: int = 0  #: seed of the training run; for the forces of the springs, see --mismatch-seed
     budget_s: float = 30_000.0  #: simulated seconds of training and evaluation
     evaluations: int = 20  #: number of evaluations of the policy, spread over the budget
     morphology: Morphology = field(default_factory=Morphology)  #: body for design fixed
     #: domain randomization during training: NAME LOW HIGH for each randomized quantity (friction,
     #: mismatch_std, spring_force, mass, ambient_c), sampled uniformly at every reset
     randomize: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    #: hyperparameters that differ from those of the algorithm's file, as NAME=VALUE with dots for nested
-    #: names, such as policy_kwargs.log_std_init=-2
+    #: hyperparameters that differ from those in baselines/hyperparams/ALGORITHM.yml, as NAME=VALUE with
+    #: dots for nested names, such as policy_kwargs.log_std_init=-2
     override: tuple[str, ...] = ()
     physics: Physics = field(default_factory=Physics)
 
@@ -71,12 +72,13 @@ class TrainConfig:
             raise CaterpillarError("open_loop requires mode phase or timing; got mode switch")
         if self.design != "fixed" and (self.algorithm != "ppo" or self.open_loop):
             raise CaterpillarError(
-                f"design = {self.design!r} requires algorithm ppo without open_loop; choose these, or "
-                "design fixed"
+                f"design = {self.design!r} requires algorithm ppo without open_loop; change these "
+                "settings, or choose design fixed"
             )
         if self.design != "fixed" and self.morphology != Morphology():
             raise CaterpillarError(
-                f"design = {self.design!r} evolves the body: remove the body, or choose design fixed"
+                f"design = {self.design!r} evolves the body: remove the body that you gave, or choose "
+                "design fixed"
             )
         if (randomization := Randomization.of(self.randomize)) is not None:
             randomization.check(self.physics)

@@ -232,10 +232,10 @@ class TrainedRobot:
         if which == "last" and history.evaluations:
             evaluation = history.evaluations[-1]
         if evaluation is None:
-            raise CaterpillarError(
-                f"{folder} contains no {which} policy: no policy was evaluated yet, or none crawled "
-                "forwards without failing (in that case use --which last)"
-            )
+            why = "no policy was evaluated yet"
+            if history.evaluations:
+                why = "no policy crawled forwards without failing; use --which last"
+            raise CaterpillarError(f"{folder} contains no {which} policy: {why}")
         config = training.config
         _check_settings(str(folder), history.configuration, config)
         policy = Policy.load(folder / f"{which}.npz", config)
@@ -263,22 +263,14 @@ class TrainedRobot:
             )
         return cls(policy, config, body, physics, fitness_m)
 
-    def simulate(
-        self,
-        timestep_s: float | None = None,
-        *,
-        on_interval: OnInterval | None = None,
-        seed: int | None = None,
-    ) -> Outcomes:
+    def simulate(self, *, on_interval: OnInterval | None = None, seed: int | None = None) -> Outcomes:
         """Run one episode.
 
         Args:
-            timestep_s: timestep of the physics, s; by default that of `physics`.
             on_interval: see `CaterpillarEnv`.
             seed: seed of the episode; by default the seed of the training run.
         """
-        physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
-        env = make_env(self.config, physics=physics)
+        env = make_env(self.config, physics=self.physics)
         seed = self.config.seed if seed is None else seed
         return self.policy.crawl(env, seed, self.morphology, on_interval)
 

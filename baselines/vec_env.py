@@ -56,7 +56,7 @@ class CaterpillarVecEnv(VecEnv):
         """
         if any(options != self._options[0] for options in self._options):
             raise CaterpillarError(
-                "options must be the same for all rows; pass bodies as a list: "
+                "options must be the same for all environments; pass bodies as a list: "
                 'set_options({"morphology": [...]})'
             )
         observations, _ = self.vector_env.reset(seed=self._seeds, options=self._options[0])
@@ -95,13 +95,17 @@ class CaterpillarVecEnv(VecEnv):
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Raise an error, because all rows share `vector_env`."""
-        raise NotImplementedError(f"all rows share one environment: set vector_env.{attr_name}")
+        raise NotImplementedError(
+            f"all environments belong to one vector environment: set vector_env.{attr_name}"
+        )
 
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
         """Raise an error, because all rows share `vector_env`."""
-        raise NotImplementedError(f"all rows share one environment: use vector_env.{method_name}")
+        raise NotImplementedError(
+            f"all environments belong to one vector environment: use vector_env.{method_name}"
+        )
 
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None

@@ -322,10 +322,12 @@ def summarize(rows: polars.DataFrame, shade: polars.DataFrame) -> dict[str, Any]
 def main() -> None:
     """Make the missing runs, and print a table of all finished runs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", default=NAMES, help=f"from {', '.join(NAMES)}")
+    parser.add_argument("names", nargs="*", default=NAMES, help=f"{', '.join(NAMES)}; all by default")
     parser.add_argument("--seeds", default="0,1,2,3,4,5,6,7,8,9")
     parser.add_argument("--out", type=Path, default=Path("runs/optimizers"))
     args = parser.parse_args()
+    if unknown := set(args.names) - set(NAMES):
+        parser.error(f"unknown optimizers: {', '.join(sorted(unknown))}; known: {', '.join(NAMES)}")
     args.out.mkdir(parents=True, exist_ok=True)
     file = args.out / "runs.csv"
     rows = polars.read_csv(file).rows(named=True) if file.exists() else []

@@ -52,15 +52,13 @@ def step(steps: int, rows: int, physics: dict[str, Any]) -> dict[str, Any]:
     rng = np.random.default_rng(0)
     bodies = itertools.cycle(rng.permutation(corners))
     ended, ends, outside, infinite = np.ones(rows, dtype=bool), Counter[str](), 0, 0
-    duties, usage = np.zeros(rows), []
+    duties, usage, given = np.zeros(rows), [], [corners[0]] * rows
     for number in range(steps):
         if number % max(1, steps // 10) == 0:
             usage.append((memory_mb(), open_files()))
             print(f"{number} steps, {usage[-1][0]:.0f} MB", file=sys.stderr)
         if ended.any():
-            given = [next(bodies) if done else body.to_array() for done, body in zip(
-                ended, env.crawl.simulation.bodies, strict=True
-            )]  # fmt: skip
+            given = [next(bodies) if done else body for done, body in zip(ended, given, strict=True)]
             duties[ended] = rng.choice(DUTIES, ended.sum())
             options = {"reset_mask": ended, "morphology": given}
             env.reset(seed=None if number else 0, options=options)

@@ -7,11 +7,26 @@ environment for `gymnasium.make_vec`. Variants in other worlds have `Slope`, `St
 """
 
 from importlib import import_module as _import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as _gymnasium
 
 from caterpillar_env.errors import CaterpillarError
+
+if TYPE_CHECKING:
+    from caterpillar_env.env import CaterpillarEnv as CaterpillarEnv
+    from caterpillar_env.gait import GaitTimings as GaitTimings
+    from caterpillar_env.morphology import PARAMETERS as PARAMETERS
+    from caterpillar_env.morphology import Morphology as Morphology
+    from caterpillar_env.physics import Physics as Physics
+    from caterpillar_env.robot import Outcomes as Outcomes
+    from caterpillar_env.robot import Robot as Robot
+    from caterpillar_env.robot import simulate as simulate
+    from caterpillar_env.robot import wave_robot as wave_robot
+    from caterpillar_env.sma import SmaSpring as SmaSpring
+    from caterpillar_env.task import Failure as Failure
+    from caterpillar_env.vector_env import CaterpillarVectorEnv as CaterpillarVectorEnv
+    from caterpillar_env.worlds import World as World
 
 for _name, _mode in (("CaterpillarSMA", "timing"), ("CaterpillarSMASwitch", "switch")):
     for _world in ("", "Slope", "Steps", "Rough", "Patches"):
@@ -25,7 +40,7 @@ for _name, _mode in (("CaterpillarSMA", "timing"), ("CaterpillarSMASwitch", "swi
                 kwargs={"action_mode": _mode} | ({"world": _world.lower()} if _world else {}),
             )
 
-_LAZY = {
+_MODULES = {
     "CaterpillarEnv": "env",
     "CaterpillarVectorEnv": "vector_env",
     "Failure": "task",
@@ -40,11 +55,11 @@ _LAZY = {
     "simulate": "robot",
     "wave_robot": "robot",
 }
-__all__ = ["CaterpillarError", *_LAZY]
+__all__ = ["CaterpillarError", *_MODULES]
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name on first access, so that registering the environments stays fast."""
-    if name not in _LAZY:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(_import_module(f"{__name__}.{_LAZY[name]}"), name)
+    return getattr(_import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -102,7 +102,7 @@ def read_morphologies(value: Any, num_envs: int) -> list[Morphology]:
     if len(value) != num_envs:
         raise CaterpillarError(
             f"morphology must be one body for all robots, a list of {num_envs} bodies, or an array of "
-            f"shape ({num_envs}, 8); got {len(value)}"
+            f"shape ({num_envs}, 8); got {len(value)} bodies"
         )
     return [Morphology.of(v) for v in value]
 
@@ -116,7 +116,9 @@ def check_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) -> 
     chosen = {} if options is None else options
     if not isinstance(chosen, Mapping) or set(chosen) - set(known):
         got = sorted(map(str, set(chosen) - set(known))) if isinstance(chosen, Mapping) else show(chosen)
-        raise CaterpillarError(f"reset options must be among {', '.join(known)}; got {got}")
+        raise CaterpillarError(
+            f"options of reset() must be a mapping with keys from {', '.join(known)}; got {got}"
+        )
     return dict(chosen)
 
 

@@ -145,7 +145,7 @@ class Episodes:
         self._intervals[rows] = 0
         state, start = self.crawl.simulation.state(rows), self.crawl.progress(rows)
         zeros = np.zeros(len(rows))
-        info = _info(state, start, start, zeros, zeros, zeros) | self._fault_info(rows)
+        info = self._info(rows, state, start, start, zeros, zeros, zeros)
         return self._observe(rows, state, start), info
 
     def get_state(self, rows: Rows, generators: Sequence[np.random.Generator | None]) -> EpisodeState:
@@ -161,8 +161,8 @@ class Episodes:
             tuple(None if g is None else dict(g.bit_generator.state) for g in generators),
         )
 
-    def set_state(self, state: EpisodeState, rows: Rows) -> None:
-        """Set the state of robots, except their generators.
+    def set_state(self, state: EpisodeState, rows: Rows) -> NDArray[np.float32]:
+        """Set the state of robots, except their generators, and return their observations.
 
         Raises:
             CaterpillarError: the number of robots or of segments is wrong.
@@ -178,6 +178,7 @@ class Episodes:
         self._scale_bodies(rows)
         self._intervals[rows] = state.intervals
         self._kept[rows], self._fault_step[rows] = state.kept, state.fault_step
+        return self._observe(rows, self.crawl.simulation.state(rows), self.crawl.progress(rows))
 
     def _scale_bodies(self, rows: Rows) -> None:
         self._scaled_bodies[rows] = [2.0 * self.morphology(row).to_unit() - 1.0 for row in rows]
@@ -216,16 +217,43 @@ class Episodes:
         terminated = failed if config.terminate_on_failure else diverged
         state = self.crawl.simulation.state(rows)
         truncated = ~terminated & (self._intervals[rows] >= self._limit)
-        info = _info(state, before, after, forward, ctrl, failure) | self._fault_info(rows)
-        observation = self._observe(rows, state, after)
-        return observation, forward + ctrl + failure, terminated, truncated, info
+        info = self._info(rows, state, before, after, forward, ctrl, failure)
+        return self._observe(rows, state, after), forward + ctrl + failure, terminated, truncated, info
 
-    def _fault_info(self, rows: Rows) -> dict[str, NDArray[Any]]:
-        """Return the share of the drive power of each spring now, (R, springs), if there are faults."""
-        if self.config.faults is None:
-            return {}
-        failed = self._intervals[rows] * STEPS_PER_INTERVAL >= self._fault_step[rows]
-        return {"spring_power": np.where(failed[:, None], self._kept[rows], 1.0)}
+    def _info(
+        self,
+        rows: Rows,
+        state: BodyState,
+        before: Progress,
+        now: Progress,
+        forward: Array,
+        ctrl: Array,
+        failure: Array,
+    ) -> dict[str, NDArray[Any]]:
+        """Return the info of robots that moved from `before` to `now` with these rewards."""
+        elapsed_s = np.maximum(now.time_s - before.time_s, CONTROL_INTERVAL_S)
+        along_m_s = (now.distance_m - before.distance_m) / elapsed_s
+        across_m_s = (now.lateral_m - before.lateral_m) / elapsed_s
+        cos, sin = self.crawl.direction[rows].T
+        info = {
+            "x_position": state.com_m[:, 0],
+            "y_position": state.com_m[:, 1],
+            "distance": now.distance_m,
+            "distance_from_origin": np.hypot(now.distance_m, now.lateral_m),
+            "x_velocity": cos * along_m_s - sin * across_m_s,
+            "y_velocity": sin * along_m_s + cos * across_m_s,
+            "reward_forward": forward,
+            "reward_ctrl": ctrl,
+            "reward_failure": failure,
+            "energy_j": now.energy_j,
+            "body_load": now.body_load,
+            "time_s": now.time_s,
+            "failure": now.failure,
+        }
+        if self.config.faults is not None:
+            failed = self._intervals[rows] * STEPS_PER_INTERVAL >= self._fault_step[rows]
+            info["spring_power"] = np.where(failed[:, None], self._kept[rows], 1.0)
+        return info
 
     def check_actions(self, actions: Any, count: int) -> Array:
         """Return the actions of `count` robots as an array with one row per robot.
@@ -295,28 +323,6 @@ class WithSpec:
         if spec is not None and spec.max_episode_steps is None:
             spec = replace(spec, max_episode_steps=self._episodes.max_steps)
         self._spec = spec
-
-
-def _info(
-    state: BodyState, before: Progress, now: Progress, forward: Array, ctrl: Array, failure: Array
-) -> dict[str, NDArray[Any]]:
-    """Return the info of robots that moved from `before` to `now` with these rewards."""
-    elapsed_s = np.maximum(now.time_s - before.time_s, CONTROL_INTERVAL_S)
-    return {
-        "x_position": state.com_m[:, 0],
-        "y_position": state.com_m[:, 1],
-        "distance": now.distance_m,
-        "distance_from_origin": np.hypot(now.distance_m, now.lateral_m),
-        "x_velocity": (now.distance_m - before.distance_m) / elapsed_s,
-        "y_velocity": (now.lateral_m - before.lateral_m) / elapsed_s,
-        "reward_forward": forward,
-        "reward_ctrl": ctrl,
-        "reward_failure": failure,
-        "energy_j": now.energy_j,
-        "body_load": now.body_load,
-        "time_s": now.time_s,
-        "failure": now.failure,
-    }
 
 
 def make_generator(state: dict[str, Any] | None) -> np.random.Generator | None:

@@ -49,7 +49,7 @@ def from_mapping(kind: type[T], value: Any, what: str) -> T:
         CaterpillarError: `value` is not a mapping, or has an unknown field.
     """
     if not isinstance(value, Mapping):
-        raise CaterpillarError(f"{what} must be a mapping of its fields; got {show(value)}")
+        raise CaterpillarError(f"{what} must be a mapping from field names to values; got {show(value)}")
     known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
     if unknown := set(value) - set(known):
         got = ", ".join(sorted(map(str, unknown)))
@@ -99,6 +99,7 @@ def check_number(
     if number is not None and typed and lower <= number <= upper:
         return number
     wanted, form = ("an integer", "") if whole else ("a finite number", "g")
+    upper = min(upper, 2**63) if whole else upper
     if lower > -math.inf:
         wanted += f" from {lower:{form}}" + (f" to {upper:{form}}" if upper < math.inf else "")
     raise CaterpillarError(f"{name} = {show(value)} must be {wanted}")

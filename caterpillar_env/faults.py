@@ -28,13 +28,14 @@ class Faults:
 
     springs: int = 1  #: number of springs that fail; every episode samples which ones
     power: float = 0.0  #: share of the drive power that failed springs keep; 0 for dead springs
-    time_s: tuple[float, ...] = (0.0, 0.0)  #: earliest and latest time of the failure, since reset
+    time_s: tuple[float, ...] = (0.0, 0.0)  #: earliest and latest time of the failure, s since reset
 
     def __post_init__(self) -> None:
         check_fields(self, _BOUNDS)
         if len(self.time_s) != 2 or self.time_s[0] > self.time_s[1]:
             raise CaterpillarError(
-                f"time_s of faults must be two times in increasing order; got {show(self.time_s)}"
+                "time_s of faults must be (earliest, latest) with earliest <= latest; got "
+                f"{show(self.time_s)}"
             )
 
     @classmethod

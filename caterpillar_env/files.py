@@ -53,7 +53,7 @@ def make_folder(path: Path, otherwise: str) -> None:
     with writing(path):
         path.mkdir(parents=True, exist_ok=True)
         if any(not file.name.startswith(".") for file in path.iterdir()):
-            raise CaterpillarError(f"{path} is not empty; choose another with --out{otherwise}")
+            raise CaterpillarError(f"{path} is not empty; choose another folder with --out{otherwise}")
 
 
 def unused(parent: Path, name: str) -> Path:
@@ -112,8 +112,8 @@ def _check_digest(data: Any) -> Any:
     rest = {name: value for name, value in data.items() if name != "digest"}
     if digest_of(rest) != data["digest"]:
         raise CaterpillarError(
-            "it does not match its digest, so it was damaged or edited; restore a copy of it, or remove "
-            "the entry digest to use it as it is"
+            "it does not match its digest, so it was damaged or edited; restore a copy of the file, or "
+            'remove its entry "digest" to use the file as it is'
         )
     return rest
 

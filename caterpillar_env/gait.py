@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError, show, to_array, to_number
 
-#: Default gait period: a spring takes about 1 s to heat and 2.6 s to cool to 10 % austenite. An episode of 30 s
-#: has six periods.
+#: Default gait period: a spring takes about 1 s to heat and 2.6 s to cool to 10 % austenite. An episode
+#: of 30 s has six periods.
 GAIT_PERIOD_S = 5.0
 SPRINGS_PER_GAP = 4
 PAIRS_PER_GAP = 2
@@ -160,8 +160,8 @@ class GaitTimings:
             return self
         if given * SPRINGS_PER_GAP != num_springs * PAIRS_PER_GAP:
             raise CaterpillarError(
-                f"a gait must have times of {num_springs} springs or {num_springs // 2} mirrored pairs; "
-                f"got {given}"
+                f"a gait must have times of {num_springs} springs or {num_springs // 2} left-right "
+                f"pairs; got times of {given}"
             )
         return self.mirrored()
 
@@ -199,7 +199,7 @@ def count_steps(duration_s: float, step_s: float, what: str) -> int:
     count = round(steps) if 0 < steps < 2 * MAX_STEPS else 0
     if not 1 <= count <= MAX_STEPS:
         raise CaterpillarError(
-            f"{what} of {shown} must be a whole multiple of {step_s} s, with at most {MAX_STEPS:,} steps"
+            f"{what} of {shown} must be a whole multiple of {step_s} s, 1 to {MAX_STEPS:,} times as long"
         )
     if abs(count * step_s - duration_s) > 1e-9 * max(1.0, duration_s):
         raise CaterpillarError(f"{what} of {shown} must be a whole multiple of {step_s:g} s")

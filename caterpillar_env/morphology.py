@@ -56,14 +56,15 @@ class Morphology:
         CaterpillarError: a value is not a number within its bounds (see `PARAMETERS`).
     """
 
-    leg_separation_m: float = PARAMETERS[0].nominal
-    segment_length_m: float = PARAMETERS[1].nominal
-    segment_radius_m: float = PARAMETERS[2].nominal
-    segment_mass_kg: float = PARAMETERS[3].nominal
-    joint_limit_rad: float = PARAMETERS[4].nominal
+    leg_separation_m: float = PARAMETERS[0].nominal  #: lateral separation of the feet, m
+    segment_length_m: float = PARAMETERS[1].nominal  #: length of one segment, m
+    segment_radius_m: float = PARAMETERS[2].nominal  #: radius of one element (half a segment), m
+    segment_mass_kg: float = PARAMETERS[3].nominal  #: mass of one segment, kg
+    joint_limit_rad: float = PARAMETERS[4].nominal  #: limit of the revolute joints, rad
+    #: longitudinal distance of a spring's attachment from the centre of its element, m
     attachment_x_m: float = PARAMETERS[5].nominal
-    attachment_y_m: float = PARAMETERS[6].nominal
-    attachment_z_m: float = PARAMETERS[7].nominal
+    attachment_y_m: float = PARAMETERS[6].nominal  #: vertical distance of the attachment, m
+    attachment_z_m: float = PARAMETERS[7].nominal  #: lateral distance of the attachment, m
 
     def __post_init__(self) -> None:
         for p in PARAMETERS:
@@ -136,7 +137,7 @@ def segments_of(body: Body, num_segments: int) -> tuple[Morphology, ...]:
         return (body,) * num_segments
     if len(body) != num_segments:
         raise CaterpillarError(
-            f"the body of a robot with {num_segments} segments must be one morphology for all of them "
-            f"or a tuple of {num_segments}; got {len(body)}"
+            f"the body of a robot with {num_segments} segments must be one morphology for all segments "
+            f"or a tuple of {num_segments} morphologies; got {len(body)}"
         )
     return tuple(body)

@@ -58,27 +58,29 @@ class Physics:
         CaterpillarError: a value has the wrong type or is out of range.
     """
 
-    num_segments: int = 4  #: number of segments, at least 2
+    num_segments: int = 4  #: number of segments, 2 to 64
     spring: SmaSpring = field(default_factory=SmaSpring)
-    neck_stiffness_n_m_rad: float = 6e-3  #: linear neck stiffness, N m/rad; silicone (Dragon Skin 10)
+    #: linear stiffness of a neck, the hinge between two segments, N m/rad; silicone (Dragon Skin 10)
+    neck_stiffness_n_m_rad: float = 6e-3
     neck_stiffening: float = 5.0  #: cubic moment of a neck at its limit, relative to the linear moment
     neck_damping_n_m_s_rad: float = 2e-4  #: neck damping, N m s/rad, by silicone, coils and anchors
     axial_stiffness_n_m: float = 500.0  #: stiffness of the prismatic joint in a segment, N/m
     axial_damping_n_s_m: float = 1.0  #: damping of the prismatic joint, N s/m
     axial_range: float = 0.15  #: travel of the prismatic joint each way, relative to the segment length
     bend_ratio: float = 2.0  #: stiffness and damping of the intra-segment hinge, relative to a neck
-    bend_axis: BendAxis = "yaw"  #: axis of the intra-segment hinge (our choice)
+    bend_axis: BendAxis = "yaw"  #: axis of the intra-segment hinge; yaw is our choice
     friction: float = 0.8  #: friction coefficient of feet and elements on the ground
-    mismatch_std: float = 0.05  #: relative standard deviation of the spring strengths
-    mismatch_seed: int = 0  #: random seed of the spring strengths
-    spring_strengths: tuple[float, ...] | None = None  #: factor on each spring's force; None: sampled
+    mismatch_std: float = 0.05  #: standard deviation of the factors on the forces of the springs
+    mismatch_seed: int = 0  #: random seed of the factors on the forces of the springs
+    #: factor on the force of each spring; by default, sampled with mismatch_std and mismatch_seed
+    spring_strengths: tuple[float, ...] | None = None
     timestep_s: float = 0.0025  #: physics timestep, s; must divide 0.01
-    integrator: Integrator = "discrete"  #: MuJoCo integrator; use rk4 with 0.25 ms
+    integrator: Integrator = "discrete"  #: MuJoCo integrator; use rk4 with a timestep of 0.25 ms
     solver: Solver = "newton"  #: MuJoCo constraint solver
     cone: Cone = "elliptic"  #: MuJoCo friction cone
     impratio: float = 100.0  #: MuJoCo impedance ratio; large values reduce slip
     contact_time_constant_s: float = 0.01  #: time constant of ground contacts, s; larger is softer
-    stop_time_constant_s: float = 0.005  #: time constant of joint stops, s; two timesteps by default
+    stop_time_constant_s: float = 0.005  #: time constant of joint stops, s: two default timesteps
     solver_tolerance: float = 1e-8  #: MuJoCo solver tolerance
     solver_iterations: int = 100  #: maximum number of MuJoCo solver iterations
     world: World = field(default_factory=Flat)  #: ground, such as rough or slope:angle_deg=5
@@ -96,7 +98,8 @@ class Physics:
         strengths = self.spring_strengths
         if strengths is not None and len(strengths) != self.num_springs:
             raise CaterpillarError(
-                f"spring_strengths must be {self.num_springs} numbers; got {len(strengths)}"
+                f"spring_strengths must be {self.num_springs} numbers, one per spring; got "
+                f"{len(strengths)} numbers"
             )
         try:
             count_steps(SMA_STEP_S, self.timestep_s, "the thermal step")

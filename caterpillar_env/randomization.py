@@ -37,11 +37,11 @@ class Randomization:
     """Ranges of conditions, sampled uniformly at each reset. None keeps the value of `Physics`.
 
     Raises:
-        CaterpillarError: a range is not a pair of increasing numbers, or is out of bounds.
+        CaterpillarError: a range is not a pair (lower, upper), or is out of bounds.
     """
 
     friction: Range | None = None  #: friction coefficient of feet and elements on the ground
-    mismatch_std: Range | None = None  #: standard deviation of newly sampled spring strengths
+    mismatch_std: Range | None = None  #: standard deviation of new factors on the forces of springs
     spring_force: Range | None = None  #: factor on the force of all springs
     mass: Range | None = None  #: factor on the mass of the body
     ambient_c: Range | None = None  #: air temperature, degC

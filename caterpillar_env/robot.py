@@ -28,14 +28,14 @@ class Outcomes(NamedTuple):
     """Outcomes of P robots."""
 
     failure: NDArray[np.int8]  #: values of `Failure`, (P,)
-    distance_m: Array  #: distance until the end or the failure; 0 if it is not finite, (P,)
+    distance_m: Array  #: distance until the end or the failure; 0 after a divergence, (P,)
     energy_j: Array  #: electrical energy, (P,)
     simulated_s: Array  #: simulated time until the end or the failure, (P,)
 
     @classmethod
     def of(cls, end: Progress) -> Outcomes:
         """Create the outcomes of robots from their final progress."""
-        distance_m = np.where(np.isfinite(end.distance_m), end.distance_m, 0.0)
+        distance_m = np.where(end.failure == Failure.DIVERGED, 0.0, end.distance_m)
         return cls(end.failure, distance_m, end.energy_j, end.time_s)
 
     @classmethod
@@ -150,10 +150,8 @@ class AnyRobot(Protocol):
     def digest(self) -> str:
         """Hash that identifies the robot."""
 
-    def simulate(
-        self, timestep_s: float | None = None, *, on_interval: OnInterval | None = None
-    ) -> Outcomes:
-        """Simulate the robot, with a different timestep if `timestep_s` is given; see `simulate`."""
+    def simulate(self, *, on_interval: OnInterval | None = None) -> Outcomes:
+        """Simulate the robot; see `simulate`."""
 
     def with_physics(self, **changes: Any) -> Self:
         """Return a copy of the robot with changed fields of `Physics`."""
@@ -176,10 +174,9 @@ class Robot:
     def __post_init__(self) -> None:
         check_fields(self)
 
-    def simulate(self, timestep_s: float | None = None, **kwargs: Any) -> Outcomes:
-        """Simulate the robot, with a different timestep if given. For the keywords, see `simulate`."""
-        physics = self.physics if timestep_s is None else replace(self.physics, timestep_s=timestep_s)
-        return simulate([self.morphology], self.timings[None], physics, **kwargs)
+    def simulate(self, **kwargs: Any) -> Outcomes:
+        """Simulate the robot. For the keywords, see `simulate`."""
+        return simulate([self.morphology], self.timings[None], self.physics, **kwargs)
 
     def with_physics(self, **changes: Any) -> Robot:
         """Return a copy of the robot with changed fields of `Physics`."""
@@ -306,7 +303,9 @@ def stack(robots: Sequence[Robot]) -> tuple[list[Body], GaitTimings]:
     """
     timings = [robot.timings for robot in robots]
     if len({(t.period_s, t.on_s.shape) for t in timings}) > 1:
-        raise CaterpillarError("robots must have the same gait period and the same number of timings")
+        raise CaterpillarError(
+            "robots must have the same gait period and the same number of on and off times"
+        )
     on_s, off_s = np.stack([t.on_s for t in timings]), np.stack([t.off_s for t in timings])
     return [robot.morphology for robot in robots], GaitTimings(timings[0].period_s, on_s, off_s)
 

@@ -104,8 +104,10 @@ class Simulation:
             CaterpillarError: the process was forked, so that the threads of the batch are missing.
         """
         if os.getpid() != self._process and self._engine.nthread > 1:
-            advice = 'create environments in it, use threads=1, or use the start method "spawn"'
-            raise CaterpillarError(f"a forked process has no threads of this simulation; {advice}")
+            raise CaterpillarError(
+                "a forked process has no threads of this simulation; create the environment in that "
+                'process, use threads=1, or use the start method "spawn"'
+            )
         return self._engine
 
     @engine.setter
@@ -134,7 +136,7 @@ class Simulation:
             bodies = [self.bodies[row] for row in index]
         if len(bodies) != len(index):
             raise CaterpillarError(
-                f"bodies must have one entry for each of {len(index)} rows; got {len(bodies)}"
+                f"bodies must have one entry for each of {len(index)} robots; got {len(bodies)}"
             )
         met = [None] * len(index) if conditions is None else conditions
         changed = False

@@ -69,7 +69,7 @@ class SmaSpring:
     coil_diameter_m: float = 0.47e-3  #: mean diameter of the coil, m
     turns: float = 100.0  #: number of turns of the coil
     density_kg_m3: float = 6450.0  #: density of the wire, kg/m3 (Dynalloy F1140 sheet)
-    #: specific heat, J/(kg K), fitted to the heating times of the sheet; plausible 450-837
+    #: specific heat, J/(kg K), fitted to the heating times of the data sheet; plausible 450-837
     specific_heat_j_kg_k: float = 500.0
     latent_heat_j_kg: float = 24_200.0  #: heat of transformation, J/kg (Dynalloy F1140 sheet)
     resistivity_ohm_m: float = 0.98e-6  #: resistivity, ohm m; 55 ohm/m at 0.15 mm (Dynalloy F1140 sheet)
@@ -84,7 +84,7 @@ class SmaSpring:
     austenite_stiffness_n_m: float = 35.0  #: secant stiffness when hot, N/m: 0.70 N at 36 mm
     martensite_stiffness_n_m: float = 14.5  #: stiffness when cold, N/m; from the ratio of Young's moduli
     austenite_rest_length_m: float = 0.016  #: hot rest length, m: just above the solid length, 15 mm
-    martensite_rest_length_m: float = 0.0222  #: cold rest length, m: 0.20 N at 36 mm, the plateau
+    martensite_rest_length_m: float = 0.0222  #: cold rest length, m: 0.20 N at 36 mm, detwinning plateau
     force_limit_n: float = 0.85  #: largest force, N: 300 MPa of shear stress in the wire
     drive_current_a: float = 0.35  #: drive current while on, A; reaches 90 % austenite in about 1 s
     cut_off_c: float = 120.0  #: over-temperature limit of the driver, degC

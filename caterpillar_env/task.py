@@ -174,6 +174,7 @@ class Crawl:
     Attributes:
         simulation: the `Simulation` of the robots.
         failure: failure of each robot, values of `Failure`, (B,).
+        direction: cosine and sine of the heading in which distances are measured, (B, 2).
     """
 
     def __init__(
@@ -191,7 +192,7 @@ class Crawl:
         self.stop_on_failure = stop_on_failure
         self.failure = np.zeros(len(bodies), dtype=np.int8)
         self._start_m = np.zeros((len(bodies), 2))
-        self._direction = np.zeros((len(bodies), 2))  # cosine and sine of the goal heading
+        self.direction = np.zeros((len(bodies), 2))
         self._measured = np.zeros((len(bodies), 6))  # the first six fields of `Progress`
         self._borne_s = np.zeros(len(bodies))  # integral of the body's share of the load over time
         self._start(self.simulation.rows(), 0.0)
@@ -248,14 +249,14 @@ class Crawl:
 
     def _state_fields(self) -> tuple[NDArray[Any], ...]:
         """Return the arrays of `CrawlState` for all rows, without the simulation."""
-        return self.failure, self._start_m, self._direction, self._measured, self._borne_s
+        return self.failure, self._start_m, self.direction, self._measured, self._borne_s
 
     def _start(self, index: Rows, goal_rad: float) -> None:
         self.failure[index] = Failure.NONE
         self._borne_s[index] = 0.0
         pose = self.simulation.pose(index)
         self._start_m[index] = pose.com_m[:, :2]
-        self._direction[index] = np.cos(goal_rad), np.sin(goal_rad)
+        self.direction[index] = np.cos(goal_rad), np.sin(goal_rad)
         self._measured[index] = self._measure(index, pose)
 
     def run(
@@ -283,7 +284,7 @@ class Crawl:
         if steps < 0 or steps % STEPS_PER_INTERVAL or len(power) != len(index):
             raise CaterpillarError(
                 f"power must have shape ({len(index)}, n * {STEPS_PER_INTERVAL}, "
-                f"{self.physics.num_springs}); got {power.shape}"
+                f"{self.physics.num_springs}) for n control intervals; got {power.shape}"
             )
         count = steps // STEPS_PER_INTERVAL
         limit = np.full(len(index), count) if intervals is None else intervals
@@ -317,10 +318,10 @@ class Crawl:
     def _measure(self, index: Rows, pose: Pose) -> Array:
         """Return the first six fields of `Progress`, (R, 6)."""
         moved_m = pose.com_m[:, :2] - self._start_m[index]
-        forward = turn(index, self._direction, pose.forward)
+        forward = turn(index, self.direction, pose.forward)
         measured = np.empty((len(index), 6))
         measured[:, 0] = pose.time_s
-        measured[:, 1:3] = turn(index, self._direction, moved_m)
+        measured[:, 1:3] = turn(index, self.direction, moved_m)
         measured[:, 3] = np.arctan2(forward[:, 1], forward[:, 0])
         measured[:, 4] = self.simulation.energy_j[index]
         measured[:, 5] = self._borne_s[index] / np.maximum(pose.time_s, EPISODE_S)

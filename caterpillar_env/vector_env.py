@@ -141,7 +141,7 @@ class CaterpillarVectorEnv(
             CaterpillarError: the state has another number of robots or segments.
         """
         index = self.crawl.simulation.rows(rows)
-        self._episodes.set_state(state, index)
+        self._observations[index] = self._episodes.set_state(state, index)
         if not self._generators:
             self._generators = [np_random(None)[0] for _ in range(self.num_envs)]
         for row, known in zip(index, state.generators, strict=True):
@@ -213,8 +213,8 @@ class CaterpillarVectorEnv(
         actions = self._episodes.check_actions(actions, self.num_envs)
         if self._mode is AutoresetMode.DISABLED and self._done.any():
             raise CaterpillarError(
-                f"episodes of rows {np.flatnonzero(self._done).tolist()} have ended: reset them with "
-                'options={"reset_mask": ...} before stepping'
+                f"the episodes of environments {np.flatnonzero(self._done).tolist()} have ended: reset "
+                'these environments with options={"reset_mask": ...} before step()'
             )
         going = np.flatnonzero(~self._done)
         stale = np.flatnonzero(self._done)  # only in NEXT_STEP mode

@@ -252,7 +252,7 @@ def _parse(text: str) -> dict[str, Any]:
         name, equals, value = part.partition("=")
         if not equals:
             raise CaterpillarError(
-                f"world = {show(text)} must be a kind, or a kind with fields, such as "
+                f"world = {show(text)} must be a kind such as 'rough', or a kind with fields such as "
                 "'slope:angle_deg=5,direction=down'"
             )
         try:

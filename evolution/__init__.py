@@ -13,31 +13,19 @@ from importlib import import_module as _import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from evolution.config import RunConfig
-    from evolution.genome import Encoding
-    from evolution.optimizers.cma_es import CmaConfig
-    from evolution.optimizers.ga import GaConfig
-    from evolution.optimizers.shade import ShadeConfig
-    from evolution.run.cluster import RayEvaluator
-    from evolution.run.evaluators import LocalEvaluator, evaluate
-    from evolution.run.history import Generation, History, load
-    from evolution.run.loop import evolve, resume
-
-__all__ = [
-    "CmaConfig",
-    "Encoding",
-    "GaConfig",
-    "Generation",
-    "History",
-    "LocalEvaluator",
-    "RayEvaluator",
-    "RunConfig",
-    "ShadeConfig",
-    "evaluate",
-    "evolve",
-    "load",
-    "resume",
-]
+    from evolution.config import RunConfig as RunConfig
+    from evolution.genome import Encoding as Encoding
+    from evolution.optimizers.cma_es import CmaConfig as CmaConfig
+    from evolution.optimizers.ga import GaConfig as GaConfig
+    from evolution.optimizers.shade import ShadeConfig as ShadeConfig
+    from evolution.run.cluster import RayEvaluator as RayEvaluator
+    from evolution.run.evaluators import LocalEvaluator as LocalEvaluator
+    from evolution.run.evaluators import evaluate as evaluate
+    from evolution.run.history import Generation as Generation
+    from evolution.run.history import History as History
+    from evolution.run.history import load as load
+    from evolution.run.loop import evolve as evolve
+    from evolution.run.loop import resume as resume
 
 _MODULES = {
     "CmaConfig": "optimizers.cma_es",
@@ -54,6 +42,7 @@ _MODULES = {
     "load": "run.history",
     "resume": "run.loop",
 }
+__all__ = list(_MODULES)
 
 
 def __getattr__(name: str) -> Any:

@@ -45,16 +45,17 @@ class RunConfig:
         CaterpillarError: a value is out of range.
     """
 
-    seed: int = 0  #: seed of the optimizer; --mismatch-seed is the seed of the springs
+    seed: int = 0  #: seed of the optimizer; for the forces of the springs, see --mismatch-seed
     generations: int = 50  #: number of generations
     budget_s: float | None = None  #: simulated seconds after which no new generation starts
     target_m: float | None = None  #: distance in m; stop once a robot reaches it without failing
     optimizer: OptimizerName = "ga"  #: ga: the paper's genetic algorithm; shade: differential evolution
-    genome: GenomeKind = "shared"  #: full: timings per spring; per-segment: a body per segment
+    genome: GenomeKind = "shared"  #: full: gait genes per spring; per-segment: a body per segment
     timing: Timing = "on-off"  #: gait genes. phase: delays and duties; wave: one lag for all pairs
     prior: Prior = "body"  #: genes with a distribution from the preprocessor; body: as in the paper
-    prior_use: PriorUse = "both"  #: uses of the prior in the GA: first generation (init), mutation
-    prior_control: Control = "none"  #: misleading prior. mirrored: peaks reflected; shuffled: permuted
+    prior_use: PriorUse = "both"  #: where the GA uses the prior: first generation (init), mutation, both
+    #: misleading prior. mirrored: peaks reflected; shuffled: distributions permuted among the genes
+    prior_control: Control = "none"
     prior_without: Without = "none"  #: design parameter (K_i) to leave out of the prior
     #: Prior of a gene on which two design parameters disagree. product: the peak of their product.
     contradictions: Contradictions = "uniform"
@@ -80,15 +81,15 @@ class RunConfig:
         if self.optimizer != "ga" and self.prior_use != "both":
             raise CaterpillarError(
                 f"prior_use = {self.prior_use!r} needs the genetic algorithm; with {self.optimizer}, "
-                "leave it at 'both'"
+                "prior_use must be 'both'"
             )
         check_floor_ratio(self.floor_ratio)
         if not 0 < self.race_share <= 1:
             raise CaterpillarError(f"race_share = {self.race_share} must lie in (0, 1]")
         if self.race_share < 1 and not 0 < self.race_periods * self.gait_period_s < EPISODE_S:
             raise CaterpillarError(
-                f"race_periods = {self.race_periods} of {self.gait_period_s:g} s must end before the "
-                f"episode ends at {EPISODE_S:g} s"
+                f"race_periods = {self.race_periods} must be at least 1, and that many gait periods of "
+                f"{self.gait_period_s:g} s must end before the episode, at {EPISODE_S:g} s"
             )
         # These check the genome, the gait period and the K_i.
         _ = design_parameters(self.encoding, self.prior, self.prior_without)

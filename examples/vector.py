@@ -17,9 +17,8 @@ env = gymnasium.make_vec(
 )
 env.reset(seed=0)
 gait = wave_robot().timings.to_action()  # a wave from the tail that was designed by hand
-truncated = np.zeros(NUM_ROBOTS, dtype=bool)
-while not truncated.all():
-    _, _, _, truncated, infos = env.step(np.tile(gait, (NUM_ROBOTS, 1)))
+for _ in range(env.spec.max_episode_steps):
+    *_, infos = env.step(np.tile(gait, (NUM_ROBOTS, 1)))
 for body, distance_m, failure in zip(bodies, infos["distance"], infos["failure"], strict=True):
     size = f"segments of {1000 * body.segment_length_m:.1f} mm, {1000 * body.segment_mass_kg:4.1f} g"
     print(f"{size}: {1000 * distance_m:6.1f} mm, {Failure(failure)}")

@@ -106,7 +106,10 @@ def _parametrize(physics: Physics) -> dict[str, Any]:
 def _read_winner(path: Path, physics: Physics) -> dict[str, Any]:
     robot = Robot.load(path)
     if robot.physics != physics or not isinstance(robot.morphology, Morphology) or robot.kind != "pairs":
-        raise SystemExit(f"{path}: the page has robots with the default physics and mirrored pairs only")
+        raise SystemExit(
+            f"{path}: the page takes only robots with the default physics, one body for all segments "
+            "and a left-right symmetric gait"
+        )
     return {
         "name": f"{path.parent.name}, seed {path.stem.removeprefix('seed-')}",
         "distance_m": robot.fitness_m,

@@ -61,8 +61,8 @@ def summarize(trainings: Sequence[Training]) -> list[dict[str, Any]]:
     for training in trainings:
         if not training.history.evaluations:
             raise CaterpillarError(
-                f"{training.history.folder} has no evaluation yet; wait for the first one, or remove "
-                "the folder"
+                f"{training.history.folder} has no evaluation yet; wait for the first evaluation, or "
+                "leave this folder out"
             )
         groups.setdefault(training.config.group, []).append(training)
     rows, titles = [], Counter[str]()

@@ -32,7 +32,7 @@ class EvalArgs:
     frictions: tuple[float, ...] = ()
     """Friction coefficients to evaluate with; by default that of the training run."""
     mismatch_seeds: tuple[int, ...] = ()
-    """Seeds of the spring strengths to evaluate with; by default that of the training run."""
+    """Seeds of the factors on the forces of the springs; by default that of the training run."""
     timestep_s: float | None = None
     """Physics timestep in s; by default that of the training run."""
     json: bool = False
@@ -57,6 +57,8 @@ def eval_command(argv: Sequence[str]) -> int:
     args = cli.parse(EvalArgs, argv, "rl eval")
     which: Which = "best" if args.robot.is_file() else "last"  # random actions need no good policy
     robot = TrainedRobot.load(args.robot, which if args.which == "random" else args.which)
+    if args.timestep_s is not None:
+        robot = robot.with_physics(timestep_s=args.timestep_s)
     physics, seed = robot.physics, robot.config.seed
     if args.which == "random":
         actor = RandomActor(make_env(robot.config).action_space, seed)
@@ -70,7 +72,7 @@ def eval_command(argv: Sequence[str]) -> int:
     rows: list[dict[str, Any]] = []
     fitness_m: list[float] = []
     for variant, episode in product(robots, range(args.episodes)):
-        outcome = variant.simulate(args.timestep_s, seed=seed + episode)
+        outcome = variant.simulate(seed=seed + episode)
         fitness_m += outcome.fitness().tolist()
         rows.append(
             {
@@ -97,6 +99,6 @@ def eval_command(argv: Sequence[str]) -> int:
             print(f"median {median:.1f} mm, quartiles {low:.1f} to {high:.1f} (failures count as 0)")
     if args.video:
         path = args.robot.with_suffix(".mp4") if args.robot.is_file() else args.robot / "eval.mp4"
-        recording = Recording(robots[0], timestep_s=args.timestep_s)
+        recording = Recording(robots[0])
         cli.film(recording, path, cli.console())
     return 0

@@ -36,7 +36,8 @@ class TrainArgs(ThreadArgs):
         super().__post_init__()
         if self.body is not None and self.config.morphology != Morphology():
             raise CaterpillarError(
-                "--body sets all parameters of the body; do not combine it with single parameters"
+                "--body sets all parameters of the body; do not combine --body with options of single "
+                "parameters, such as --segment-length-m"
             )
 
 

@@ -50,7 +50,7 @@ class View:
     """Size and camera of an image.
 
     Raises:
-        RenderingError: a size is not a positive integer, or the camera does not exist.
+        CaterpillarError: a size is not an integer from 1 to 8192, or the camera does not exist.
     """
 
     width: int = 640  #: pixels
@@ -61,11 +61,11 @@ class View:
         for name in ("width", "height"):
             value = getattr(self, name)
             if not isinstance(value, (int, np.integer)) or not 1 <= value <= 8192:
-                raise RenderingError(
+                raise CaterpillarError(
                     f"{name} must be an integer from 1 to 8192 (pixels); got {show(value)}"
                 )
         if not isinstance(self.camera_name, str) or self.camera_name not in CAMERAS:
-            raise RenderingError(
+            raise CaterpillarError(
                 f"camera_name must be one of {', '.join(CAMERAS)}; got {show(self.camera_name)}"
             )
 
@@ -151,7 +151,7 @@ class RobotRenderer:
         if unavailable is None and self._canvas is None:
             try:
                 if backend == "disabled":
-                    raise OSError("MUJOCO_GL disables rendering")
+                    raise OSError("unset MUJOCO_GL, which disables rendering")
                 # MuJoCo selects the context class at import. Replace it by the class of the backend.
                 if backend in ("egl", "osmesa"):
                     gl_context.GLContext = import_module(f"mujoco.{backend}").GLContext

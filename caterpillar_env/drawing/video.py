@@ -19,6 +19,7 @@ from caterpillar_env.drawing.overlay import Readout, annotate
 from caterpillar_env.drawing.rendering import RobotRenderer, View
 from caterpillar_env.drawing.scenery import Camera
 from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.files import ELSEWHERE
 from caterpillar_env.morphology import length_m, segments_of
 from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.robot import AnyRobot, Outcomes
@@ -50,7 +51,7 @@ class VideoConfig:
     """Speed, size and camera of a video.
 
     Raises:
-        CaterpillarError: the speed is not positive.
+        CaterpillarError: the speed is not positive, or `View` refuses the size or the camera.
     """
 
     speed: float = 2.0
@@ -65,8 +66,14 @@ class VideoConfig:
     def __post_init__(self) -> None:
         if not 0 < self.speed < math.inf:
             raise CaterpillarError(
-                f"speed = {self.speed} must be a positive number of simulated seconds per second"
+                f"speed = {self.speed} must be a positive number: simulated seconds per second of video"
             )
+        width, height = _SINGLE_PX
+        View(
+            width if self.width is None else self.width,
+            height if self.height is None else self.height,
+            self.camera,
+        )
 
     def layout(self, count: int) -> tuple[int, int, int, int]:
         """Return the frame width and height, and the number of columns and rows, for `count` tiles."""
@@ -82,13 +89,12 @@ class Recording:
     Args:
         robot: the robot to simulate.
         title: text to write on the frames.
-        timestep_s: physics timestep, s; by default that of the robot.
     """
 
-    def __init__(self, robot: AnyRobot, title: str = "", *, timestep_s: float | None = None) -> None:
+    def __init__(self, robot: AnyRobot, title: str = "") -> None:
         traces: list[Any] = []
         self.robot, self.title = robot, title
-        self.outcomes: Outcomes = robot.simulate(timestep_s, on_interval=traces.append)
+        self.outcomes: Outcomes = robot.simulate(on_interval=traces.append)
         qpos = np.concatenate([t.qpos[0] for t in traces])
         # Cut the trace at the first pose of a diverging robot that cannot be drawn.
         shown = max(1, int(np.cumprod((np.abs(qpos) < _USABLE_M).all(axis=1)).sum()))
@@ -124,7 +130,7 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
         config: speed, size and camera.
 
     Raises:
-        RenderingError: rendering is not possible on this machine, or not at this size.
+        RenderingError: rendering is not possible on this machine.
         CaterpillarError: the file type is unknown, or writing fails.
     """
     config = config or VideoConfig()
@@ -211,5 +217,5 @@ def check_path(path: Path) -> None:
         raise CaterpillarError(f"a video must be an .mp4, a .gif or a .webp file; got {path}")
     if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
         raise CaterpillarError(
-            f"cannot write {path}: {path.parent} is not a writable folder; choose another with --out"
+            f"cannot write {path}: {path.parent} is not a writable folder; {ELSEWHERE}"
         )

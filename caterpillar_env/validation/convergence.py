@@ -88,13 +88,9 @@ def compare(*, quick: bool) -> Comparison:
     return Comparison(
         random_pair,
         evolved_pair,
-        Pair(_first(evolved_pair.ours, len(few)), independent),
-        Pair(Outcomes.of(nudged), _first(evolved_pair.reference, SPREAD)),
+        Pair(evolved_pair.ours.rows(slice(len(few))), independent),
+        Pair(Outcomes.of(nudged), evolved_pair.reference.rows(slice(SPREAD))),
     )
-
-
-def _first(outcomes: Outcomes, count: int) -> Outcomes:
-    return Outcomes._make(values[:count] for values in outcomes)
 
 
 def check_timestep(result: Comparison) -> list[Check]:
@@ -170,14 +166,14 @@ SETTINGS: dict[str, dict[str, Any]] = {
 _NUMERICAL = ("timestep_s", "solver", "integrator", "solver_tolerance")
 
 
-def compare_settings(count: int = 16, duration_s: float = EPISODE_S) -> list[dict[str, float | str]]:
-    """Compare accuracy and cost of `SETTINGS` on the first `count` evolved robots.
+def compare_settings() -> list[dict[str, float | str]]:
+    """Compare accuracy and cost of `SETTINGS` on 16 evolved robots.
 
     Returns:
         One row per setting: cost in microseconds per simulated millisecond and robot on one thread.
         The other columns compare the robots with a reference at a timestep of 0.5 ms.
     """
-    robots = stack(evolved_robots(count))
+    robots = stack(evolved_robots(16))
     references: dict[str, Outcomes] = {}
     rows: list[dict[str, float | str]] = []
     for name, changes in SETTINGS.items():
@@ -185,9 +181,9 @@ def compare_settings(count: int = 16, duration_s: float = EPISODE_S) -> list[dic
         key = repr(physical)
         if key not in references:
             fine = replace(Physics(), **physical, timestep_s=0.0005, solver_tolerance=1e-10)
-            references[key] = simulate(*robots, fine, duration_s=duration_s)
+            references[key] = simulate(*robots, fine)
         started = time.perf_counter()
-        coarse = simulate(*robots, replace(Physics(), **changes), threads=1, duration_s=duration_s)
+        coarse = simulate(*robots, replace(Physics(), **changes), threads=1)
         wall_s = time.perf_counter() - started
         pair = Pair(coarse, references[key])
         rows.append(

@@ -29,9 +29,9 @@ _KINDS = {"evolved": 4, "random": 2}
 
 ADVICE = (
     "Golden trajectories are valid for one version of the physics and of MuJoCo. If you changed either "
-    "intentionally and all other checks of `caterpillar validate` pass, record them again with "
-    "`python -m caterpillar_env.validation.golden` and note it in CHANGELOG.md. Otherwise find the "
-    "cause of the difference first."
+    "intentionally and all other checks of `caterpillar validate` pass, record the trajectories again "
+    "with `python -m caterpillar_env.validation.golden` and note the change in CHANGELOG.md. Otherwise "
+    "find the cause of the difference first."
 )
 
 

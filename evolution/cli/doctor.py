@@ -37,8 +37,8 @@ class Finding(NamedTuple):
 class DoctorArgs:
     """Check the installed packages and drawing.
 
-    The exit status is 1 if a package that every run needs is missing or too old. Drawing is optional:
-    only videos and rendering need it.
+    The exit status is 1 if a package that every run needs is missing or has an unsupported version.
+    Drawing is optional: only videos and rendering need it.
     """
 
 
@@ -57,7 +57,7 @@ def doctor_command(argv: Sequence[str]) -> int:
         if finding.remedy:
             print(f"{'':23}to fix it: {finding.remedy}")
     ok = all(finding.status != "NO" for finding in findings)
-    missing = "Something that a run needs is missing or too old."
+    missing = "A package that every run needs is missing or has an unsupported version."
     print("\n" + ("Everything that a run needs works." if ok else missing))
     return 0 if ok else 1
 
@@ -83,7 +83,7 @@ def check_requirements(extra: str, requirements: Sequence[Requirement]) -> Findi
             continue
         found.append(f"{requirement.name} {installed}")
         if not requirement.specifier.contains(installed, prereleases=True):
-            problems.append(f"{requirement.name} {installed} is not {requirement.specifier}")
+            problems.append(f"{requirement.name} {installed} does not meet {requirement.specifier}")
     name, target = (f"extra {extra}", f"{PACKAGE}[{extra}]") if extra else ("packages", PACKAGE)
     if problems:
         return Finding(name, "--" if extra else "NO", ", ".join(problems), f"pip install '{target}'")

@@ -34,7 +34,8 @@ class ExportArgs:
     to: Format | None = None
     """Format; by default, from the suffix of --out, or csv."""
     out: Path | None = None
-    """File to write; by default, evaluations.csv, .parquet or .json, or best.xml, in the run folder."""
+    """File to write; by default, evaluations.csv, .parquet or .json, or best.xml, in the run folder, or
+    ROBOT.xml beside ROBOT.json."""
 
 
 def export_command(argv: Sequence[str]) -> int:

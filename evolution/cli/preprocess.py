@@ -22,7 +22,7 @@ from evolution.priors.preprocessor import Contradictions, GenePrior, Search
 
 @dataclass(frozen=True)
 class PreprocessArgs:
-    """Print the distribution of each gene and the search for the best nodes, and plot them.
+    """Print and plot the distribution of each gene, and print the grid searches for its peak.
 
     The default is Table I of the paper. `--timing wave --prior body+gait` adds the gait.
     """

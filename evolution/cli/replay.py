@@ -49,7 +49,7 @@ class ReplayArgs:
             raise CaterpillarError("give one or more run folders, or JSON files of robots (best.json)")
         if self.generations and (len(self.source) > 1 or min(self.generations) < 0):
             raise CaterpillarError(
-                "--generations takes one run folder and numbers from 0; got "
+                "--generations needs one run folder, and numbers that are not negative; got "
                 f"{' '.join(map(str, self.source))} and {' '.join(map(str, self.generations))}"
             )
 
@@ -58,6 +58,8 @@ def replay_command(argv: Sequence[str]) -> int:
     """Simulate recorded robots again, and make a video."""
     args = cli.parse(ReplayArgs, argv, "replay")
     robots = _load_robots(args)
+    if args.timestep_s is not None:
+        robots = [(title, robot.with_physics(timestep_s=args.timestep_s)) for title, robot in robots]
     first = args.source[0]
     name = "film.mp4" if args.generations else "replay.mp4"
     out = args.out or (first if first.is_dir() else first.parent) / name
@@ -65,9 +67,9 @@ def replay_command(argv: Sequence[str]) -> int:
         check_path(out)
     recordings, comparisons = [], []
     for title, robot in robots:
-        recording = Recording(robot, title, timestep_s=args.timestep_s)
+        recording = Recording(robot, title)
         recordings.append(recording)
-        comparisons.append({"title": title, **_compare(recording, args.timestep_s)})
+        comparisons.append({"title": title, **_compare(recording)})
         if not args.json:
             prefix = f"{title}: " if len(robots) > 1 else ""
             print(prefix + _describe(comparisons[-1]))
@@ -104,7 +106,7 @@ def _title(path: Path) -> str:
     return name_of(path.resolve().parent) if path.name == "best.json" else name_of(path.with_suffix(""))
 
 
-def _compare(recording: Recording, timestep_s: float | None) -> dict[str, Any]:
+def _compare(recording: Recording) -> dict[str, Any]:
     robot, outcomes = recording.robot, recording.outcomes
     fitness_m = float(outcomes.fitness()[0])
     return {
@@ -115,7 +117,7 @@ def _compare(recording: Recording, timestep_s: float | None) -> dict[str, Any]:
         "distance_m": float(outcomes.distance_m[0]),
         "energy_j": float(outcomes.energy_j[0]),
         "simulated_s": float(outcomes.simulated_s[0]),
-        "timestep_s": timestep_s or robot.physics.timestep_s,
+        "timestep_s": robot.physics.timestep_s,
     }
 
 
@@ -126,6 +128,7 @@ def _describe(comparison: dict[str, Any]) -> str:
     elif comparison["identical"]:
         verdict = "identical to the record"
     else:
-        verdict = f"{100 * (fitness_m / recorded_m - 1):+.1f} % of the recorded {recorded_m!r} m"
+        change = 100 * (fitness_m / recorded_m - 1)
+        verdict = f"{change:+.1f} % relative to the recorded {recorded_m!r} m"
     energy = f"{comparison['energy_j']:.1f} J"
     return f"fitness {fitness_m!r} m ({comparison['failure']}), {energy}, {verdict}"

@@ -28,11 +28,11 @@ class ReportArgs:
     video: bool = True
     """For a run: write best.mp4, unless it already shows the best robot."""
     landscape: tuple[str, str] | None = None
-    """For a run: vary two genes of the best robot, and plot the distances in landscape.png. This takes
-    about as long as 625 evaluations."""
+    """For a run: names of two genes to vary in the best robot. The distances are plotted in
+    landscape.png. This takes about as long as 625 evaluations."""
     all_winners: bool = False
-    """For a study: simulate the best robot of every run again with finer settings, other friction and
-    other springs, and measure gaits. This takes a minute per robot on one core."""
+    """For a study: simulate the best robot of every run again with a finer timestep, other friction and
+    other forces of the springs, and measure gaits. This takes a minute per robot on one core."""
 
 
 def report_command(argv: Sequence[str]) -> int:
@@ -43,7 +43,7 @@ def report_command(argv: Sequence[str]) -> int:
             raise CaterpillarError(f"--landscape needs the folder of a run; {args.folder} is a study")
         write_report(args.folder, all_winners=args.all_winners)
     elif args.all_winners:
-        raise CaterpillarError(f"--all-winners needs the folder of a study; {args.folder} is not one")
+        raise CaterpillarError(f"--all-winners needs the folder of a study; {args.folder} is no study")
     elif (args.folder / JOURNAL).is_file():
         history = History.read(args.folder)
         if args.landscape is not None:
@@ -89,9 +89,11 @@ def write_report(folder: Path, *, all_winners: bool = False) -> None:
     page = report.write(analysis, retest, folder)
     print("\n".join(summarize(analysis)))
     for row in retest.comparisons:
-        print(
-            f"{row.arm}, {row.condition}: {row.failed} of {row.robots} winners fail; the others crawl "
-            f"{100 * row.median_share:.0f} % of their recorded distance (median; "
-            f"{100 * row.smallest_share:.0f} to {100 * row.largest_share:.0f} %)"
-        )
+        line = f"{row.arm}, {row.condition}: {row.failed} of {row.robots} winners fail"
+        if row.failed < row.robots:
+            line += (
+                f"; the others crawl {100 * row.median_share:.0f} % of their recorded distance (median; "
+                f"{100 * row.smallest_share:.0f} to {100 * row.largest_share:.0f} %)"
+            )
+        print(line)
     print(f"written: {page}", file=sys.stderr)

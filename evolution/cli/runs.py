@@ -33,7 +33,7 @@ def runs_command(argv: Sequence[str]) -> int:
     """List the runs in a folder."""
     args = cli.parse(RunsArgs, argv, "runs")
     if not args.folder.is_dir():
-        raise CaterpillarError(f"{args.folder} is not a folder; give the one that contains the runs")
+        raise CaterpillarError(f"{args.folder} is not a folder; give the folder that contains the runs")
     rows = [_describe(path.parent) for path in sorted(args.folder.glob(f"**/{FILE}"))]
     if args.json:
         print(json.dumps(rows, indent=2))

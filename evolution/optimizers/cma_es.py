@@ -25,8 +25,8 @@ class CmaConfig:
         CaterpillarError: a value is out of range.
     """
 
-    cma_population: int | None = None  #: genomes per generation; None: pycma's default, 4 + 3 ln n
-    cma_sigma: float = 0.3  #: initial step size, as a share of the range; at most the width of the prior
+    cma_population: int | None = None  #: genomes per generation; default for n genes: 4 + 3 ln n
+    cma_sigma: float = 0.3  #: initial step size, as a share of the range; a narrower prior reduces it
     cma_restarts: bool = True  #: whether to restart with twice the population after convergence
 
     def __post_init__(self) -> None:

@@ -34,7 +34,7 @@ class GaConfig:
     """
 
     population: int = 200  #: genomes per generation, for random search too
-    hall_of_fame: int = 10  #: best genomes kept without evaluating them again
+    hall_of_fame: int = 10  #: number of best genomes to keep without another evaluation
     crossover: Crossover = "uniform"  #: how the genes of two parents are combined
     crossover_rate: float = 0.9  #: fraction of children with two parents; the others copy one parent
     mutation_rate: float = 0.05  #: probability that a gene is redrawn; 0.05 is one gene in twenty

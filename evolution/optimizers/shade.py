@@ -27,7 +27,8 @@ class ShadeConfig:
     """
 
     shade_population: int = 30  #: genomes per generation
-    shade_candidates: int = 1  #: candidates per genome; only the best by prediction is simulated
+    #: candidates per genome; only the one with the largest predicted advance (K_5) is simulated
+    shade_candidates: int = 1
 
     def __post_init__(self) -> None:
         check_fields(
@@ -68,7 +69,7 @@ class Shade(GenerationalOptimizer):
         super().__init__()
         if config.shade_candidates > 1 and predict is None:
             raise CaterpillarError(
-                f"shade_candidates = {config.shade_candidates} needs predict, which scores them"
+                f"shade_candidates = {config.shade_candidates} needs predict, which scores candidates"
             )
         self._distributions, self._rng = list(distributions), rng
         self._candidates, self._predict = config.shade_candidates, predict

@@ -50,7 +50,8 @@ def design_parameters(
     if without != "none" and len(kept) == len(found):
         names = ", ".join(k.name for k in found) or "none"
         raise CaterpillarError(
-            f"prior_without = {without!r} must be a K_i of prior = {prior!r}, which has {names}"
+            f"prior_without = {without!r} must be a design parameter of prior = {prior!r}, which has "
+            f"{names}"
         )
     return kept
 

@@ -108,7 +108,9 @@ def search_grid(k: DesignParameter, genes: tuple[Gene, ...]) -> Search:
         raise CaterpillarError(f"{k.name} must be finite everywhere on the grid of its genes")
     for axis, name in enumerate(k.gene_names):
         if np.all(np.ptp(values, axis=axis) == 0):
-            raise CaterpillarError(f"{k.name} does not depend on {name}; remove that gene")
+            raise CaterpillarError(
+                f"{k.name} does not depend on {name}; remove {name} from its gene_names"
+            )
     best = np.unravel_index(int(np.argmax(values)), values.shape)
     return Search(k, genes, nodes, values, tuple(map(int, best)))
 
@@ -135,7 +137,8 @@ def search_all(parameters: Sequence[DesignParameter], genes: Sequence[Gene]) -> 
     known = {gene.parameter: gene for gene in reversed(genes)}
     if unknown := {name for k in parameters for name in k.gene_names} - set(known):
         raise CaterpillarError(
-            f"no such genes: {', '.join(sorted(unknown))}; choose from {', '.join(reversed(known))}"
+            f"no such genes: {', '.join(sorted(unknown))}; a design parameter can use "
+            f"{', '.join(reversed(known))}"
         )
     return [search_grid(k, tuple(known[name] for name in k.gene_names)) for k in parameters]
 

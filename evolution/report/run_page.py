@@ -93,6 +93,7 @@ def page(history: History, figures: Mapping[str, str], recording: Recording | No
         width=max((len(command) for command, _ in commands), default=0),
         config=config,
         own=own,
+        own_objective=history.own_objective,
         genes=gene_rows(history),
         changed=list(changed(history.configuration)),
         configuration=json.dumps(history.configuration, indent=2),
@@ -162,7 +163,7 @@ def next_commands(history: History, folder: str) -> list[tuple[str, str]]:
     if history.best is not None:
         commands += [
             (f"caterpillar replay {folder}", "simulate the best robot again, and film it"),
-            (f"caterpillar view {folder}", "watch it in the browser, and change it by hand"),
+            (f"caterpillar view {folder}", "watch the robot in the browser, and change it by hand"),
         ]
     more = 2 * history.config.generations
     if history.own_optimizer is None and history.own_objective is None:

@@ -63,6 +63,8 @@ class Cluster:
         Raises:
             ClusterError: Ray is not installed, or no cluster can be reached.
         """
+        # Without this, calls of Ray after its end would start a new cluster on this machine.
+        os.environ.setdefault("RAY_ENABLE_AUTO_CONNECT", "0")
         try:
             import ray
         except ImportError:
@@ -86,7 +88,9 @@ class Cluster:
         try:
             ray.init(address, log_to_driver=False, include_dashboard=False, logging_level="ERROR")
         except Exception as error:  # Ray raises this class itself if a node starts too slowly
-            raise ClusterError(f"no Ray cluster at {address}: {error}") from None
+            raise ClusterError(
+                f"a Ray cluster cannot be reached or started (address {address}): {error}"
+            ) from None
         self._connected = True
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, on_term)  # Ray's own handler would end the process at once
@@ -215,8 +219,9 @@ def _check_reachable(address: str) -> None:
     """Raise an error if nothing listens at HOST:PORT; Ray would retry for minutes and then abort."""
     if address.startswith("ray://"):
         raise ClusterError(
-            f"the address {address} needs Ray Client, which is not supported; give HOST:PORT of the "
-            "head on a machine of the cluster, or use `ray job submit` (see docs/howto/cluster.md)"
+            f"the address {address} needs Ray Client, which is not supported; run this on a machine of "
+            "the cluster with the HOST:PORT of its head, or use `ray job submit` (see "
+            "docs/howto/cluster.md)"
         )
     host, _, port = address.rpartition(":")
     if not port.isdigit():
@@ -226,7 +231,8 @@ def _check_reachable(address: str) -> None:
     except (OSError, OverflowError) as error:
         raise ClusterError(
             f"no Ray cluster at {address} ({getattr(error, 'strerror', None) or error}); "
-            "start one with `ray start --head`, or omit the address to start one on this machine"
+            "start a cluster with `ray start --head`, or omit the address and unset RAY_ADDRESS to "
+            "start a cluster on this machine"
         ) from None
 
 

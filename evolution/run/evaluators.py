@@ -6,7 +6,7 @@ the number of workers, or the genomes that are evaluated together.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, NamedTuple, Protocol, Self
 
 from numpy.typing import NDArray
@@ -99,7 +99,7 @@ def run_jobs(
     on_progress: OnProgress | None = None,
     first: float = 0.0,
     last: float = 1.0,
-) -> Iterator[Result]:
+) -> Generator[Result, None, None]:
     """Yield the result of each job, and report a progress that rises from `first` to `last`."""
     sizes = [len(job.genomes) for job in jobs]
     number = 0

@@ -31,7 +31,7 @@ class Generation(NamedTuple):
 
     number: int
     best_m: float  #: distance of the best robot so far; 0 if there is none
-    mean_m: float  #: mean distance of the genomes of this generation; a failure counts as 0
+    mean_m: float  #: mean distance of its robots that were not stopped early; a failure counts as 0
     failures: dict[str, int]  #: number of genomes of this generation that failed, by failure
     evaluations: int  #: number of evaluations of the run so far
     simulated_s: float  #: simulated time of the run so far, s
@@ -230,8 +230,8 @@ class History:
                 raise CaterpillarError(
                     f"evaluation {evaluation.number} in {self._journal.path} has a different genome "
                     "from the one that the optimizer proposes now. The package or NumPy has changed, or "
-                    "the journal belongs to a different run. Install the versions in its table "
-                    "`sessions`, or start a new run"
+                    "the journal belongs to a different run. Install the versions in the journal's "
+                    "table `sessions`, or start a new run"
                 )
         return len(known)
 
@@ -299,7 +299,8 @@ class History:
             raise damaged(self._journal.path, f"generation {number} does not match its evaluations")
         if completion.best is not None:
             self.best = self.evaluations[completion.best]
-        crawled_m = outcomes.fitness()
+        early = stopped(outcomes)
+        crawled_m = outcomes.fitness()[~early]
         counts = np.bincount(outcomes.failure, minlength=len(Failure))
         self.generations.append(
             Generation(
@@ -310,8 +311,8 @@ class History:
                 evaluations=completion.evaluations,
                 simulated_s=self.simulated_s + float(outcomes.simulated_s.sum()),
                 replayed=replayed,
-                farthest_m=max(self.farthest_m, crawled_m[~stopped(outcomes)].max(initial=0.0)),
-                stopped=int(stopped(outcomes).sum()),
+                farthest_m=max(self.farthest_m, crawled_m.max(initial=0.0)),
+                stopped=int(early.sum()),
             )
         )
         return outcomes

@@ -109,7 +109,7 @@ class Journal:
             with explain_errors(self.path, reading=read_only):
                 if not self.path.exists():
                     raise JournalError(
-                        f"{folder} is not a run folder: it contains no {FILE}; give one that "
+                        f"{folder} is not a run folder: it contains no {FILE}; give a folder that "
                         "caterpillar made"
                     )
                 if not read_only:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -63,7 +64,8 @@ def evolve(
     optimizer = optimizer or config.make_optimizer()  # if this fails, no folder is made
     with evaluator or LocalEvaluator() as workers:  # if this fails, no folder is made
         make_folder(
-            folder, f", or continue the run in it with `caterpillar resume {shlex.quote(str(folder))}`"
+            folder,
+            f", or continue the existing run with `caterpillar resume {shlex.quote(str(folder))}`",
         )
         with Journal.create(folder, config.to_dict() | own) as journal:
             history = History(journal, objective)
@@ -104,7 +106,7 @@ def resume(
         for what, name in (("optimizer", history.own_optimizer), ("objective", history.own_objective)):
             if name is not None and given[what] is None:
                 raise CaterpillarError(
-                    f"{folder} was run with your own {what} ({name}); resume it in Python with "
+                    f"{folder} was run with your own {what} ({name}); resume the run in Python with "
                     f"evolution.resume(folder, {what}=...)"
                 )
         if generations is not None:
@@ -158,8 +160,9 @@ def _evaluate(
         history.append(genomes, race(genomes, config, history.objective, evaluator, on_progress))
         return
     jobs = [Job(chunk) for chunk in evaluator.split(genomes)]
-    for job, result in zip(jobs, run_jobs(evaluator, config.encoding, jobs, on_progress), strict=True):
-        history.append(job.genomes, result.outcomes)
+    with closing(run_jobs(evaluator, config.encoding, jobs, on_progress)) as results:
+        for job, result in zip(jobs, results, strict=True):
+            history.append(job.genomes, result.outcomes)
 
 
 def _name(part: Any) -> str | None:

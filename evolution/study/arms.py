@@ -103,7 +103,9 @@ def make_arm(name: str, data: Mapping[str, Any], base: Mapping[str, Any]) -> Arm
         raise CaterpillarError(f"arms.{name} must be a table; got {show(data)}")
     if reserved := {*data, *base} & {"seed", "generations", "budget_s"}:
         names = ", ".join(sorted(reserved))
-        raise CaterpillarError(f"arms.{name}: remove {names}, which the study sets for every run")
+        raise CaterpillarError(
+            f"arms.{name} or base: remove {names}, which the study sets for every run"
+        )
     settings = dict(data)
     kind = settings.pop("kind", "evolution")
     known = {e.name: e for e in entry_points(group="caterpillar.arms")}
@@ -185,7 +187,7 @@ class EvolutionArm:
                 genes = generation.select(gene.name for gene in encoding.genes).to_numpy()
                 if not np.array_equal(encoding.values(genomes).astype(np.float32), genes):
                     raise CaterpillarError(
-                        f"{folder} cannot be made again: the genomes of generation "
+                        f"{folder} cannot be restored: the genomes of generation "
                         f"{len(history.generations)} differ from the recorded ones. The package or "
                         "NumPy has changed; install the versions of the study, or start a new study"
                     )

@@ -37,11 +37,15 @@ class Processes:
     def __init__(self, count: int) -> None:
         self.count = count
         self._processes: list[multiprocessing.process.BaseProcess] = []
+        self._ended = False
+        self._lock = threading.Lock()  # no process starts after the end
 
     def __enter__(self) -> Processes:
         return self
 
     def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._ended = True
         for process in self._processes:
             process.terminate()
         for process in self._processes:
@@ -56,8 +60,11 @@ class Processes:
         context = multiprocessing.get_context("spawn")
         receiver, sender = context.Pipe(duplex=False)
         process = context.Process(target=_run_in_process, args=(sender, task), daemon=True)
-        process.start()
-        self._processes.append(process)
+        with self._lock:
+            if self._ended:
+                raise CaterpillarError("the study was stopped")
+            process.start()
+            self._processes.append(process)
         sender.close()
         try:
             error = receiver.recv()

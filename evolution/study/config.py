@@ -61,12 +61,12 @@ class StudyConfig:
     def __post_init__(self) -> None:
         check_fields(self, {"seeds": (0, 2**63), "long_seeds": (0, 2**63), "generations": (1, 2**63)})
         if not self.arms:
-            raise CaterpillarError("a study needs arms: add a table [arms.NAME] for each of them")
+            raise CaterpillarError("a study needs arms: add a table [arms.NAME] for each arm")
         for arm in self.arms:
             if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", arm):
                 raise CaterpillarError(
                     "the name of an arm is used for a folder: use up to 100 letters, digits, '.', '_' "
-                    f"and '-'; got {arm!r}"
+                    f"and '-', and begin with a letter or a digit; got {arm!r}"
                 )
         if self.reference not in self.arms:
             raise CaterpillarError(
@@ -78,7 +78,7 @@ class StudyConfig:
             if not values or len(set(values)) < len(values):
                 first = "0" if name == "seeds" else "1"
                 raise CaterpillarError(
-                    f"{name} must be a list of distinct integers, each at least {first}; got {values!r}"
+                    f"{name} must be a list of one or more distinct integers >= {first}; got {values!r}"
                 )
         if self.budget_s < EPISODE_S:
             raise CaterpillarError(
@@ -90,7 +90,10 @@ class StudyConfig:
                 f"long_budget_s = {self.long_budget_s!r} must be at least budget_s = {self.budget_s:g}"
             )
         if self.long_seeds and not isinstance(self.arms[self.reference], EvolutionArm):
-            raise CaterpillarError("remove long_seeds, which needs a reference that evolves robots")
+            raise CaterpillarError(
+                f"long_seeds needs a reference of the kind evolution, unlike {self.reference}; remove "
+                "long_seeds"
+            )
         times_s = self.compare_at_s
         if len(set(times_s)) < len(times_s) or not all(0 < time_s < self.budget_s for time_s in times_s):
             raise CaterpillarError(
@@ -217,14 +220,14 @@ def begin(config: StudyConfig, folder: Path) -> None:
         changed += [f"arms.{a}" for a, arm in before.arms.items() if config.arms.get(a, arm) != arm]
         if changed:
             raise CaterpillarError(
-                f"{folder} holds a study with other {', '.join(changed)}, so its runs are not "
+                f"{folder} holds a study that differs in {', '.join(changed)}, so its runs are not "
                 "comparable; choose another folder with --out"
             )
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         if not file.exists() and any(folder.iterdir()):
             raise CaterpillarError(
-                f"{folder} is not empty and contains no study; choose another with --out"
+                f"{folder} is not empty and contains no study; choose another folder with --out"
             )
         write_json(file, with_digest(config.to_dict()))
 

@@ -22,7 +22,7 @@ from evolution.study.config import Cell, StudyConfig
 DATA = "evaluations.parquet"  #: name of the file with all evaluations of a study
 DIGEST = f"{DATA}.sha256"  #: name of the file with its digest, for `sha256sum --check`
 _GROUP_ROWS = 10_000
-_KEEP = "restore a copy of it, or remove it if the folders of all runs are there"
+_KEEP = "restore a copy of this file, or remove this file if the folders of all runs are there"
 _OUTCOME = ("evaluation", "generation", "failure", "stopped", "distance_m", "energy_j", "simulated_s")
 
 
@@ -46,7 +46,8 @@ def read_run(config: StudyConfig, cell: Cell, study: Path) -> History | None:
         return None  # running this cell reports the error
     if not config.arms[cell.arm].matches(history, cell.seed, config.budget_of(cell)):
         raise CaterpillarError(
-            f"{folder} was run with other settings; delete it, or choose another study folder with --out"
+            f"{folder} was run with other settings; delete this folder, or choose another study folder "
+            "with --out"
         )
     return history
 

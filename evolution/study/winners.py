@@ -39,7 +39,7 @@ _MEASURES = {
     "overrun": "overrun of a joint",
     "slip": "slip",
 }
-_AGAIN = "remove it, and it is made again"
+_AGAIN = "remove this file, and the next report makes it again"
 _Key = tuple[str, int, float]  # arm, seed, recorded distance
 _Row = dict[str, Any]
 
@@ -148,7 +148,7 @@ def _retest_best(config: StudyConfig, folder: Path, run: Run, row: _Row) -> bool
     robot.save(path)
     if known:
         return False
-    end = robot.simulate(REFERENCE_TIMESTEP_S)
+    end = robot.with_physics(timestep_s=REFERENCE_TIMESTEP_S).simulate()
     row["references"][FINE] = _describe(end.distance_m[0], end.failure[0])
     return True
 
@@ -240,7 +240,7 @@ def _check_rows(data: Any) -> list[_Row]:
     except (TypeError, LookupError, AttributeError):
         valid = False
     if not valid:
-        raise CaterpillarError(f"it must hold robots with their results under all conditions; {_AGAIN}")
+        raise CaterpillarError(f"it must be a list of robots with their results; {_AGAIN}")
     rows: list[_Row] = data
     return rows
 

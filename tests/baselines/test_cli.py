@@ -63,7 +63,8 @@ def test_eval_repeats_the_recorded_evaluation(folder, capsys):
     assert f"{1000 * robot.fitness_m:.1f} mm" in capsys.readouterr().out
     assert cli.main(["rl", "eval", str(folder), "--timestep-s", "0.005", "--json"]) == 0
     (finer,) = json.loads(capsys.readouterr().out)
-    assert finer["distance_m"] == robot.simulate(0.005).distance_m[0] != robot.fitness_m
+    ends = robot.with_physics(timestep_s=0.005).simulate()
+    assert finer["distance_m"] == ends.distance_m[0] != robot.fitness_m
 
 
 def test_eval_takes_the_json_file_of_a_robot(folder, tmp_path, capsys):

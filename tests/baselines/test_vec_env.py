@@ -120,5 +120,5 @@ def test_each_row_has_an_image():
 
 def test_options_that_differ_between_rows_are_rejected(env):
     env.set_options([{}, {"morphology": None}, {}])
-    with pytest.raises(ValueError, match="must be the same for all rows"):
+    with pytest.raises(ValueError, match="must be the same for all environments"):
         env.reset()

@@ -174,8 +174,9 @@ def test_failure_cost_is_charged_once():
     assert rewards == [-7.0, 0.0, 0.0]
 
 
-def test_velocity_is_the_mean_over_the_step():
-    env = timing_env(gait_period_s=0.5)
+@pytest.mark.parametrize("goal_heading_rad", [0.0, 0.5])
+def test_velocity_is_the_mean_over_the_step(goal_heading_rad):
+    env = timing_env(gait_period_s=0.5, goal_heading_rad=goal_heading_rad)
     _, before = env.reset(seed=0)
     *_, info = env.step(some_action(env))
     x_m, y_m = (info[f"{axis}_position"] - before[f"{axis}_position"] for axis in "xy")

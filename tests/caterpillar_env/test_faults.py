@@ -96,10 +96,10 @@ def test_seeds_and_states_repeat_the_faults():
         (0, "springs = 0 must be an integer from 1"),
         (13, "faults.springs = 13 must be at most the number of springs, 12"),
         ({"power": 2}, "power = 2 must be a finite number from 0 to 1"),
-        ({"time_s": (3, 1)}, "time_s of faults must be two times in increasing order"),
+        ({"time_s": (3, 1)}, r"time_s of faults must be \(earliest, latest\) with earliest <= latest"),
         ({"time_s": 3}, "time_s = 3 must be a list"),
         ({"force": 1}, "faults has no force; its fields are springs, power, time_s"),
-        ("two", "faults must be a mapping of its fields"),
+        ("two", "faults must be a mapping from field names to values"),
     ],
 )
 def test_errors_name_the_field(value, message):

@@ -11,7 +11,7 @@ from caterpillar_env.files import make_folder, read, unused, write_json, writing
 def test_non_empty_folder_is_rejected(tmp_path):
     make_folder(tmp_path / "a" / "b", "")
     make_folder(tmp_path / "a" / "b", "")  # an empty folder is allowed
-    with pytest.raises(CaterpillarError, match="a is not empty; choose another with --out, or else"):
+    with pytest.raises(CaterpillarError, match="a is not empty; choose another folder with --out, or"):
         make_folder(tmp_path / "a", ", or else")
 
 

@@ -107,14 +107,16 @@ def test_diverged_robot_stops_at_once_with_finite_fitness(tmp_path, monkeypatch)
     assert result.fitness().tolist() == [0.0, 0.0]
 
 
-def test_distance_of_a_robot_without_a_position_is_0(monkeypatch):
+@pytest.mark.parametrize("distance_m", [np.nan, np.inf, 7.0])
+def test_distance_of_a_diverged_robot_is_0(monkeypatch, distance_m):
     progress = Crawl.progress
 
-    def lost(self, rows=None):
+    def diverged(self, rows=None):
         found = progress(self, rows)
-        return found._replace(distance_m=np.full_like(found.distance_m, np.nan))
+        failure = np.full_like(found.failure, Failure.DIVERGED)
+        return found._replace(distance_m=np.full_like(found.distance_m, distance_m), failure=failure)
 
-    monkeypatch.setattr(Crawl, "progress", lost)
+    monkeypatch.setattr(Crawl, "progress", diverged)
     outcomes = simulate(*some(1), SHORT, threads=1, duration_s=0.1)
     assert outcomes.distance_m.tolist() == [0.0]
 

@@ -307,7 +307,7 @@ def test_wrong_power_shape_is_an_error(shape):
 
 
 def test_every_row_needs_a_body():
-    with pytest.raises(CaterpillarError, match="bodies must have one entry for each of 2 rows; got 1"):
+    with pytest.raises(CaterpillarError, match="bodies must have one entry for each of 2 robots; got 1"):
         started([SMALL, SMALL]).reset([SMALL])
 
 

@@ -209,7 +209,7 @@ def test_disabled_mode_waits_for_a_masked_reset():
     start, _ = envs.reset(seed=0)
     overturn(envs, 1)
     last, *_ = envs.step(off())
-    with pytest.raises(CaterpillarError, match=r"rows \[1\] have ended.*reset_mask"):
+    with pytest.raises(CaterpillarError, match=r"environments \[1\] have ended.*reset_mask"):
         envs.step(off())
     observation, info = envs.reset(options={"reset_mask": np.array([False, True, False])})
     np.testing.assert_array_equal(observation[1], start[1])

@@ -48,7 +48,7 @@ def test_worlds_are_flat_by_default():
         (World(), "world must be one of flat, slope, steps, rough, patches; got World"),
         (3, "world must be one of flat, slope, steps, rough, patches; got 3"),
         ("slope:tilt=3", "world slope has no tilt; its fields are angle_deg, direction, kind"),
-        ("slope:10", "must be a kind, or a kind with fields, such as 'slope:angle_deg=5"),
+        ("slope:10", "or a kind with fields such as 'slope:angle_deg=5"),
         ("slope:angle_deg=50", "angle_deg = 50 must be a finite number from 0 to 45"),
         ("slope:direction=left", "direction = 'left' must be one of up, down, across"),
         ("steps:height_m=0.02", "height_m = 0.02 must be a finite number from 0.0001 to 0.01"),

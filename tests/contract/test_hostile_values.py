@@ -193,7 +193,7 @@ def test_errors_of_genomes_and_gaits_have_one_line():
         attempt(lambda v: GaitTimings(5.0, v, v), value)
         attempt(lambda v: GaitTimings(v, [1.0], [2.0]), value)
         attempt(lambda v: count_steps(v, 0.01, "it"), value)
-        attempt(lambda v: wave_robot().simulate(v, duration_s=0.1), value)
+        attempt(lambda v: wave_robot().with_physics(timestep_s=v), value)
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -123,7 +123,7 @@ def test_configuration_round_trips_through_json():
         ({"optimizer": "hopes"}, "optimizer = 'hopes' must be one of ga, cma-es, shade, random"),
         ({"optimizer": "cma-es", "prior_use": "init"}, "prior_use = 'init' needs the genetic algorithm"),
         ({"race_share": 0.0}, "race_share = 0.0 must lie in"),
-        ({"race_share": 0.5, "race_periods": 6}, "race_periods = 6 of 5 s must end before"),
+        ({"race_share": 0.5, "race_periods": 6}, "race_periods = 6 must be at least 1, and"),
         ({"timing": "wave", "genome": "full"}, "choose timing = 'phase' or genome = 'shared'"),
         ({"genome": "half"}, "genome = 'half' must be one of shared, full, per-segment"),
         ({"objective": "speed"}, "objective = 'speed'"),

@@ -224,7 +224,7 @@ function writeFixed(version: string): void {
     "15 robots per generation) in Web Workers, for 9,000 simulated seconds. It leaves out the " +
     "preprocessor and the racing of the published study.";
   find("about").textContent =
-    `This page runs MuJoCo ${version} as WebAssembly, the Python package MuJoCo ${data.mujoco}. Tests compare ` +
+    `This page runs MuJoCo ${version} as WebAssembly; the Python package runs MuJoCo ${data.mujoco}. Tests compare ` +
     "the two: robots that are not chaotic end within 0.001 mm of each other after 30 s. " +
     "MuJoCo has the Apache-2.0 licence, and three.js, which draws the picture, the MIT licence.";
 }

@@ -144,7 +144,7 @@ def test_errors_print_one_line_and_set_the_exit_status(arguments, elsewhere, cap
         (["evolve", "--bogus"], "--bogus"),
         (["evolve", "--population", "many"], "--population"),
         (["evolve", "--population", "-5"], "population = -5 must be an integer from 2"),
-        (["evolve", "--out", "full"], "full is not empty; choose another with --out"),
+        (["evolve", "--out", "full"], "full is not empty; choose another folder with --out"),
         (["replay", "nothing.json"], "cannot read nothing.json"),
         (["replay", "broken.json"], "broken.json is not JSON"),
     ],

@@ -25,7 +25,7 @@ def test_missing_and_old_packages_are_named():
     found = doctor.check_requirements("", wanted)
     assert (found.name, found.status) == ("packages", "NO")
     assert found.found.startswith("no-such-thing is missing, rich ")
-    assert found.found.endswith(" is not <1")
+    assert found.found.endswith(" does not meet <1")
     assert found.remedy == "pip install 'caterpillar-sma'"
 
 
@@ -86,7 +86,7 @@ def test_status_is_1_only_if_a_required_package_is_missing(monkeypatch, capsys):
     captured = capsys.readouterr().out
     assert "NO  packages           numpy is missing\n" in captured
     assert "to fix it: pip install 'caterpillar-sma'" in captured
-    assert "Something that a run needs is missing or too old." in captured
+    assert "A package that every run needs is missing or has an unsupported version." in captured
 
 
 @pytest.mark.drawing

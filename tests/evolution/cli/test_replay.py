@@ -56,7 +56,7 @@ def test_replay_prints_the_difference_from_the_record(still, capsys):
     captured = capsys.readouterr().out
     assert captured.startswith("fitness ")
     assert "0.0 J" in captured
-    assert "% of the recorded 0.02 m" in captured
+    assert "% relative to the recorded 0.02 m" in captured
 
 
 def test_replay_without_a_recorded_fitness_makes_no_comparison(still, here, capsys):
@@ -138,7 +138,7 @@ def test_last_generation_shows_the_best_robot_of_the_run(run, here, capsys):
     near_m = float(np.nextafter(best.fitness_m, 1.0))
     replace(best, fitness_m=near_m).save(here / "near.json")
     assert cli.main(["replay", "near.json", "--no-video"]) == 0
-    assert capsys.readouterr().out.rstrip().endswith(f"0.0 % of the recorded {near_m!r} m")
+    assert capsys.readouterr().out.rstrip().endswith(f"0.0 % relative to the recorded {near_m!r} m")
 
 
 # Errors
@@ -151,8 +151,9 @@ def test_last_generation_shows_the_best_robot_of_the_run(run, here, capsys):
         (["still.json", "--out", "robot.avi"], "must be an .mp4, a .gif or a .webp file; got robot.avi"),
         (["still.json", "--speed", "0"], "speed = 0.0 must be a positive number"),
         (["still.json", "--camera", "front"], "--camera"),
+        (["still.json", "--width", "10000"], "width must be an integer from 1 to 8192"),
         (["still.json", "--generations", "0"], "is not a run folder"),
-        (["still.json", "still.json", "--generations", "0"], "--generations takes one run folder"),
+        (["still.json", "still.json", "--generations", "0"], "--generations needs one run folder"),
         (["still.json", "--generations", "0", "-1"], "generations"),
         (["still.json", "--out", "nowhere/robot.mp4"], "cannot write nowhere/robot.mp4"),
     ],

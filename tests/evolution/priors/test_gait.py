@@ -169,6 +169,6 @@ def test_a_design_parameter_can_be_left_out():
     # The preset `ablation` states this in a comment.
     assert distributions(WAVE, without="stroke") == full
     with pytest.raises(
-        CaterpillarError, match="prior_without = 'stroke' must be a K_i of prior = 'body'"
+        CaterpillarError, match="prior_without = 'stroke' must be a design parameter of prior = 'body'"
     ):
         RunConfig(prior_without="stroke")

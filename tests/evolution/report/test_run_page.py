@@ -227,6 +227,18 @@ def test_page_shows_no_resume_command_for_a_custom_objective(ran):
     page = ran(objective=lambda outcomes: -outcomes.energy_j)
     assert "caterpillar replay run" in page
     assert "caterpillar resume" not in page
+    assert "The objective was the user's own " in unescape(page)
+
+
+def test_page_of_a_stopped_run_with_a_custom_objective_names_the_function_that_resumes_it(tmp_path):
+    folder = tmp_path / "run"
+    evolve(
+        CONFIG, folder, objective=lambda outcomes: -outcomes.energy_j,
+        evaluator=LocalEvaluator(1), on_generation=stop_after(1),
+    )  # fmt: skip
+    page = " ".join(read_page(folder).split())
+    assert "with <code>evolution.resume</code> and its objective." in page
+    assert "caterpillar resume" not in page
 
 
 def test_page_of_a_run_without_a_best_robot_lists_the_failures(tmp_path):

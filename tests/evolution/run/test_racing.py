@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import polars
 import pytest
 
 from caterpillar_env.physics import Physics
@@ -122,6 +123,8 @@ def test_run_is_the_same_for_any_number_of_threads_and_after_a_stop(whole, tmp_p
         rows["stopped"].sum() for _, rows in whole.table().group_by("generation", maintain_order=True)
     ]
     assert whole.generations[0].stopped > 0
+    first = whole.table().filter((polars.col("generation") == 0) & ~polars.col("stopped"))
+    assert whole.generations[0].mean_m == pytest.approx(first["fitness"].mean())
     assert History.read(whole.folder).best.number == whole.best.number
 
 

@@ -132,11 +132,11 @@ def test_arms_and_seeds_can_be_added_to_a_study(tmp_path):
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"budget_s": 300}, "a study with other budget_s"),
-        ({"reference": "cma-es"}, "a study with other reference"),
-        ({"references": {"ga-uniform": "cma-es"}}, "a study with other references.ga-uniform"),
-        ({"generations": [1]}, "a study with other generations"),
-        ({"arms": {**SMALL["arms"], "cma-es": {"optimizer": "random"}}}, "with other arms.cma-es"),
+        ({"budget_s": 300}, "a study that differs in budget_s"),
+        ({"reference": "cma-es"}, "a study that differs in reference"),
+        ({"references": {"ga-uniform": "cma-es"}}, "a study that differs in references.ga-uniform"),
+        ({"generations": [1]}, "a study that differs in generations"),
+        ({"arms": {**SMALL["arms"], "cma-es": {"optimizer": "random"}}}, "that differs in arms.cma-es"),
     ],
     ids=str,
 )
@@ -156,8 +156,8 @@ def test_folder_with_other_files_is_rejected(tmp_path):
     ("data", "message"),
     [
         (changed(arms={}), "a study needs arms"),
-        (changed(seeds=[]), "seeds must be a list of distinct integers, each at least 0; got ()"),
-        (changed(seeds=[1, 1]), "seeds must be a list of distinct"),
+        (changed(seeds=[]), "seeds must be a list of one or more distinct integers >= 0; got ()"),
+        (changed(seeds=[1, 1]), "seeds must be a list of one or more distinct"),
         (changed(seeds=3), "seeds = 3 must be a list"),
         (changed(pilot_seeds=[8]), "a study has no pilot_seeds; its fields are base, arms, seeds"),
         (changed(long_seeds=[0]), "long_budget_s = 0.0 must be at least budget_s = 240"),
@@ -167,7 +167,7 @@ def test_folder_with_other_files_is_rejected(tmp_path):
         (changed(budget_s="long"), "budget_s = 'long' must be a finite number"),
         (
             changed(generations=[]),
-            "generations must be a list of distinct integers, each at least 1; got ()",
+            "generations must be a list of one or more distinct integers >= 1; got ()",
         ),
         (changed(generations=["x"]), "an entry of generations = 'x' must be an integer"),
         (changed(arms={**SMALL["arms"], "a/b": {}}), "the name of an arm is used for a folder"),
@@ -176,7 +176,7 @@ def test_folder_with_other_files_is_rejected(tmp_path):
         (changed(compare_at_s=[9, 9]), "compare_at_s must be a list of distinct numbers between 0 and"),
         (changed(thresholds_m=[-1]), "thresholds_m must be a list of positive numbers; got (-1,)"),
         (changed(luck=1), "a study has no luck; its fields are base, arms, seeds"),
-        ({k: v for k, v in SMALL.items() if k != "seeds"}, "seeds must be a list of distinct"),
+        ({k: v for k, v in SMALL.items() if k != "seeds"}, "seeds must be a list of one or more"),
         (changed(arms={"ga-uniform": {"seed": 3}}), "remove seed, which the study sets"),
         (
             changed(arms={"ga-uniform": {"target_m": 0.1}}),

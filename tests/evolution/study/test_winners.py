@@ -37,9 +37,13 @@ class ArtificialRobot:
     """A robot that crawls farther at a long timestep."""
 
     fitness_m: float
+    timestep_s: float = 0.0
 
-    def simulate(self, timestep_s):
-        distance_m = self.fitness_m - timestep_s
+    def with_physics(self, timestep_s):
+        return replace(self, timestep_s=timestep_s)
+
+    def simulate(self):
+        distance_m = self.fitness_m - self.timestep_s
         return Outcomes(np.array([Failure.NONE]), *np.array([[distance_m], [1.0], [30.0]]))
 
     def save(self, path):
@@ -135,11 +139,10 @@ def test_best_robot_of_every_run_is_simulated_under_the_conditions(compare, tmp_
         Cell("a", seed).folder(tmp_path).mkdir(parents=True)
     found = compare(recorded_m)
     robots = RandomRobots.robots[2:5]
+    ends = [robot.with_physics(timestep_s=0.005).simulate() for robot in robots]
     shares = [
         end.distance_m[0] / recorded
-        for end, recorded in zip(
-            [robot.simulate(0.005) for robot in robots], recorded_m.values(), strict=True
-        )
+        for end, recorded in zip(ends, recorded_m.values(), strict=True)
         if end.failure[0] == Failure.NONE
     ]
     assert 0 < len(shares) <= 3
@@ -150,7 +153,7 @@ def test_best_robot_of_every_run_is_simulated_under_the_conditions(compare, tmp_
     saved = Robot.load(tmp_path / "winners" / "a" / "seed-1.json")
     assert saved.to_dict() == robots[1].to_dict()
     (winner,) = found.winners
-    assert (winner.seed, winner.reference_m) == (2, robots[2].simulate(0.005).distance_m[0])
+    assert (winner.seed, winner.reference_m) == (2, ends[2].distance_m[0])
 
 
 def test_failed_robots_are_counted_separately(compare, tmp_path, monkeypatch):
