@@ -259,9 +259,7 @@ def read_settings(configuration: Mapping[str, Any]) -> TrainConfig:
         CaterpillarError: a setting is unknown or invalid.
     """
     names = ("kind", "hyperparameters")
-    # Earlier versions had no prior.
-    data = {"prior": "uniform"} | {k: v for k, v in configuration.items() if k not in names}
-    return TrainConfig.from_dict(data)
+    return TrainConfig.from_dict({k: v for k, v in configuration.items() if k not in names})
 
 
 def is_evaluated_as_recorded(configuration: Mapping[str, Any], config: TrainConfig) -> bool:

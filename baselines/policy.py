@@ -175,10 +175,7 @@ def _read_arrays(path: Path, expected: Mapping[str, NDArray[Any]]) -> dict[str, 
         Exception: the file is damaged.
     """
     if not path.is_file():
-        raise CaterpillarError(
-            "there is no such file (earlier versions wrote .zip files, which can run code and are not "
-            "read)"
-        )
+        raise CaterpillarError("there is no such file")
     with zipfile.ZipFile(path) as archive:  # check sizes before anything is read
         sizes = {info.filename.removesuffix(".npy"): info.file_size for info in archive.infolist()}
     if sizes.keys() != expected.keys() or any(

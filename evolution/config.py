@@ -28,14 +28,6 @@ from evolution.priors.preprocessor import Contradictions, GenePrior, check_floor
 OptimizerName = Literal["ga", "cma-es", "shade", "random"]
 PriorUse = Literal["both", "init", "mutation"]
 
-#: Former names of priors, in journals and studies of earlier versions.
-_FORMER_PRIORS = {
-    "preprocessed": {"prior": "body"},
-    "init-only": {"prior": "body", "prior_use": "init"},
-    "mutation-only": {"prior": "body", "prior_use": "mutation"},
-    "mirrored": {"prior": "body", "prior_control": "mirrored"},
-}
-
 
 @dataclass(frozen=True)
 class RunConfig:
@@ -104,11 +96,9 @@ class RunConfig:
         kinds = {"ga": GaConfig, "cma": CmaConfig, "shade": ShadeConfig, "physics": Physics}
         made = data
         if isinstance(data, dict):
-            prior = data.get("prior")
-            former = _FORMER_PRIORS.get(prior, {}) if isinstance(prior, str) else {}
             made = {
                 name: from_mapping(kinds[name], value, name) if name in kinds else value
-                for name, value in {**data, **former}.items()
+                for name, value in data.items()
             }
         return from_mapping(cls, made, "a run's configuration")
 

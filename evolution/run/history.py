@@ -77,10 +77,7 @@ class History:
         """
         with Journal(Path(folder), read_only=True) as journal:
             history = cls(journal)
-        complete = len(history._completions)
-        if not complete and history.evaluations:  # schema 1 does not record the ends of generations
-            complete = history.evaluations[-1].generation + history.finished
-        for _ in range(complete):
+        for _ in range(len(history._completions)):
             history._advance(replayed=True)
         return history
 

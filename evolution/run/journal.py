@@ -99,8 +99,8 @@ class Journal:
         read_only: open for reading only, which works while another process writes.
 
     Raises:
-        JournalError: there is no journal, another process is writing to it, it has a newer schema, or it
-            is damaged.
+        JournalError: there is no journal, another process is writing to it, another version of this
+            package wrote it, or it is damaged.
     """
 
     def __init__(self, folder: Path, *, read_only: bool = False) -> None:
@@ -116,10 +116,7 @@ class Journal:
                     stack.enter_context(lock(folder))
                 connect = connect_to_read if read_only else connect_to_write
                 self._db = connect(self.path, stack)
-                self._schema = schema.check(self._db, self.path)
-                if not read_only:
-                    schema.upgrade(self._db, self._schema)
-                    self._schema = schema.SCHEMA
+                schema.check(self._db, self.path)
             self._resources = stack.pop_all()
 
     @classmethod
@@ -272,13 +269,11 @@ class Journal:
             yield evaluation
 
     def generations(self) -> list[Completion]:
-        """Return the completed generations, in order. Files with schema 1 record none.
+        """Return the completed generations, in order.
 
         Raises:
             JournalError: a row is missing or was altered.
         """
-        if self._schema == 1:
-            return []
         found = [Completion(*values) for values in self._read("generations")]
         for expected, (number, *_) in enumerate(found):
             if number != expected:
@@ -287,13 +282,12 @@ class Journal:
 
     def _read(self, table: str) -> Iterator[tuple[Any, ...]]:
         """Check the digests of a table, and yield its rows without them."""
-        checked = schema.has_digests(table, self._schema)
         with explain_errors(self.path, reading=True):
             for count, row in enumerate(self._db.execute(f"SELECT * FROM {table} ORDER BY rowid")):
-                values = row[:-1] if checked else row
-                if checked and row[-1] != digest(values):
+                *values, found = row
+                if found != digest(values):
                     raise damaged(self.path, f"row {count} of the table {table} was altered")
-                yield values
+                yield tuple(values)
 
 
 def _now() -> str:

@@ -66,7 +66,7 @@ def read_kept(folder: Path) -> dict[Cell, polars.DataFrame]:
         if digest.is_file() and digest.read_bytes() != _digest(content):
             raise CaterpillarError(f"{file} is damaged: it does not match {DIGEST}; {_KEEP}")
         table = polars.read_parquet(io.BytesIO(content))
-        if missing := {"arm", "seed", *_OUTCOME} - {"stopped"} - set(table.columns):
+        if missing := {"arm", "seed", *_OUTCOME} - set(table.columns):
             raise CaterpillarError(f"{file} has no columns {', '.join(sorted(missing))}; {_KEEP}")
         return dict(_split(table))
     except (OSError, polars.exceptions.PolarsError, polars.exceptions.PanicException) as error:
@@ -168,9 +168,7 @@ class Run(NamedTuple):
         spent_s = np.cumsum(rows["simulated_s"].to_numpy())
         count = int(np.searchsorted(spent_s, budget_s, side="right"))
         generation, failure = rows["generation"].to_numpy(), rows["failure"].to_numpy()
-        complete = failure == "ok"
-        if "stopped" in rows.columns:  # earlier versions had no racing
-            complete &= ~rows["stopped"].fill_null(value=False).to_numpy()
+        complete = (failure == "ok") & ~rows["stopped"].to_numpy()
         crawled_m = np.where(complete, np.maximum(rows["distance_m"].to_numpy(), 0.0), 0.0)
         return cls(
             seed=seed,

@@ -100,7 +100,7 @@ def test_random_episodes_have_different_seeds_and_failures_count_as_0(folder, ca
     seeds = []
     ends = iter([(0.02, Failure.NONE), (0.9, Failure.TIPPED), (0.04, Failure.NONE)])
 
-    def simulate(robot, timestep_s, *, seed):
+    def simulate(robot, *, seed):
         seeds.append(seed)
         distance_m, failure = next(ends)
         return Outcomes(np.array([failure]), np.array([distance_m]), np.ones(1), np.full(1, 30.0))

@@ -41,7 +41,7 @@ from caterpillar_env.morphology import Morphology
         ({"randomize": {"ambient_c": (20, 90)}}, "ambient < Mf < Ms"),
         ({"design": "uniform", "algorithm": "td3"}, "requires algorithm ppo without open_loop"),
         ({"randomize": {"luck": (0, 1)}}, "randomization has no luck; its fields are friction"),
-        ({"randomize": {"mass": (2, 1)}}, "randomization of mass must be two numbers"),
+        ({"randomize": {"mass": (2, 1)}}, "randomization of mass must be .lower, upper."),
     ],
     ids=str,
 )

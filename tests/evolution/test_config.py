@@ -65,20 +65,6 @@ def test_mirrored_prior_puts_every_peak_at_the_other_end():
             assert (other.mu, other.sigma) == (1 - one.mu, one.sigma)
 
 
-@pytest.mark.parametrize(
-    ("former", "now"),
-    [
-        ("preprocessed", {"prior": "body"}),
-        ("init-only", {"prior": "body", "prior_use": "init"}),
-        ("mutation-only", {"prior": "body", "prior_use": "mutation"}),
-        ("mirrored", {"prior": "body", "prior_control": "mirrored"}),
-        ("uniform", {"prior": "uniform"}),
-    ],
-)
-def test_priors_of_earlier_versions_are_read(former, now):
-    assert RunConfig.from_dict({"prior": former}) == RunConfig(**now)
-
-
 def test_clamped_prior_keeps_peaks_and_widths():
     clamped = RunConfig(clipping="clamped").distributions()
     for one, other in zip(RunConfig().distributions(), clamped, strict=True):

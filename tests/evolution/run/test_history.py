@@ -1,7 +1,6 @@
 """Exporting runs and listing them."""
 
 import json
-import shutil
 from dataclasses import replace
 
 import mujoco
@@ -212,18 +211,6 @@ def test_a_generation_completed_during_reading_is_excluded(tmp_path, monkeypatch
         monkeypatch.setattr(Journal, "evaluations", read_slowly)
         assert len(load(tmp_path).generations) == 1
         assert len(load(tmp_path).generations) == 2
-
-
-def test_a_journal_without_a_generations_table_gives_the_same_generations(runs, downgrade, tmp_path):
-    for name in ("done", "stopped"):
-        folder = shutil.copytree(runs / name, tmp_path / name)
-        downgrade(folder, 1)
-        now, then = load(folder), load(runs / name)
-        # Without its end, the last generation of a run that was stopped counts as incomplete.
-        complete = len(then.generations) if then.finished else len(then.generations) - 1
-        assert now.generations == then.generations[:complete]
-        if then.finished:
-            assert now.best.number == then.best.number
 
 
 def test_run_without_evaluations_has_no_leaders(tmp_path):

@@ -38,6 +38,7 @@ def runs(arm, distances, failures=()):
                     "arm": arm, "seed": seed, "evaluation": number,
                     "generation": number // 5, "distance_m": distance, "simulated_s": 10.0,
                     "failure": "tipped" if (seed, number) in failures else "ok",
+                    "stopped": False,
                 }
             )  # fmt: skip
     return polars.DataFrame(rows)

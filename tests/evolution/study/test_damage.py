@@ -90,7 +90,7 @@ def test_a_damaged_table_is_refused(tmp_path):
                 read_kept(tmp_path)
         damaged.write_bytes(content)
     assert read_kept(tmp_path)[cell].equals(table)
-    digest.unlink()  # as in studies of earlier versions
+    digest.unlink()
     assert read_kept(tmp_path)[cell].equals(table)
 
 

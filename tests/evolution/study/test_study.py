@@ -152,6 +152,7 @@ def test_progress_counts_every_run_up_to_its_budget(tmp_path):
             ends = np.full((3, evaluations), 30.0)
             history.append(genomes, Outcomes(np.zeros(evaluations, dtype=np.int8), *ends))
             if seed == 1:
+                history.complete()
                 history.finish()
 
     def report(ended, share):
@@ -254,6 +255,7 @@ def test_evaluations_beyond_the_budget_do_not_count():
             "evaluation": [0, 1, 2, 3],
             "generation": [0, 0, 1, 1],
             "failure": ["ok", "tipped", "ok", "ok"],
+            "stopped": [False] * 4,
             "distance_m": [0.01, 0.5, -0.2, 0.9],
             "simulated_s": [10.0, 4.0, 16.0, 10.0],
         }
@@ -273,7 +275,7 @@ def test_robots_that_racing_stopped_reach_no_distance():
             "evaluation": [0, 1, 2],
             "generation": [0, 0, 0],
             "failure": ["ok"] * 3,
-            "stopped": [True, False, None],  # null in data of earlier versions
+            "stopped": [True, False, False],
             "distance_m": [0.5, 0.1, 0.2],
             "simulated_s": [10.0, 30.0, 30.0],
         }
