@@ -5,9 +5,9 @@
     python -m benchmarks.optimizers l-shade lra-cma-es --seeds 0,1      # some of them
 
 All optimizers search waves with the priors of body and gait, and spend the same simulated time. Racing
-stops two thirds of each generation early. Ten seeds of one optimizer take about 20 minutes on two cores.
-The file `runs.csv` of the folder holds the results of finished runs. Repeat the command to make the
-missing runs and print a table of all runs.
+stops two thirds of each generation early, except for optimizers that propose single genomes. Ten seeds
+of one optimizer take about 20 minutes on two cores. The file `runs.csv` of the folder holds the results
+of finished runs. Repeat the command to make the missing runs and print a table of all runs.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ from caterpillar_env.morphology import LOWER, UPPER
 from caterpillar_env.task import Failure
 
 DUTIES = (0.1, 0.5, 1.0)
-ALLOWED_GROWTH_MB = 60.0  #: growth in the second half; the cached models of 256 bodies take 40 MB
+ALLOWED_GROWTH_MB = 60.0  #: in the second half, while the cache of models may still fill
 
 
 def memory_mb() -> float:

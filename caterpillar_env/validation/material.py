@@ -203,7 +203,10 @@ def transformation_times_s(spring: SmaSpring) -> tuple[float, float]:
 
 
 def check_dynalloy() -> list[Check]:
-    """Check heating and cooling times of high-temperature (HT) wire. No parameter was fitted to them."""
+    """Check heating and cooling times of high-temperature (HT) wire.
+
+    Only the specific heat was fitted to the data sheet, to its heating times.
+    """
     checks = [
         check_near(
             "convection of a 0.15 mm wire", SmaSpring().convection_w_m2_k,

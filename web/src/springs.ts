@@ -34,7 +34,7 @@ function interpolate(x: number, { enthalpy, fraction }: typeof heating): number 
   return fraction[low] + share * (fraction[high] - fraction[low]);
 }
 
-/** Thermal state of springs: the one model that is written in Python and in TypeScript. */
+/** Thermal state of springs, as in `caterpillar_env.sma`. */
 export class Springs {
   readonly fraction: Float64Array;
   private readonly enthalpy: Float64Array;
