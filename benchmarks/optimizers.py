@@ -282,9 +282,8 @@ NAMES = (*OURS, *OTHERS)
 def run(name: str, seed: int, out: Path) -> dict[str, Any]:
     """Make or continue a run, and return its row of `runs.csv`."""
     config = replace(OURS.get(name, BASE), seed=seed)
-    folder, optimizer = out / name / f"seed-{seed}", None
-    if name in OTHERS:
-        optimizer = OTHERS[name](config)
+    folder = out / name / f"seed-{seed}"
+    optimizer = OTHERS[name](config) if name in OTHERS else None
     if folder.exists():
         resume(folder, optimizer=optimizer, evaluator=LocalEvaluator(1))
     else:
