@@ -51,9 +51,7 @@ def spread(values: Array) -> dict[str, float]:
 
 
 def interval(values: Array) -> dict[str, float]:
-    """Return the median and its bootstrap interval, which is NaN for a single value."""
-    if len(values) == 1:
-        return {"median": float(values[0]), "low": float("nan"), "high": float("nan")}
+    """Return the median and its bootstrap interval, which is NaN for fewer than five values."""
     value, low, high = median(values)
     return {"median": value, "low": low, "high": high}
 

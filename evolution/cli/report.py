@@ -95,5 +95,5 @@ def write_report(folder: Path, *, all_winners: bool = False) -> None:
                 f"; the others crawl {100 * row.median_share:.0f} % of their recorded distance (median; "
                 f"{100 * row.smallest_share:.0f} to {100 * row.largest_share:.0f} %)"
             )
-        print(line)
+        print(f"{line}; median distance {1000 * row.median_m:.0f} mm, where a failure counts as 0")
     print(f"written: {page}", file=sys.stderr)

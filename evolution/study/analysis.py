@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from caterpillar_env.arrays import Array
 from evolution.study import statistics
@@ -26,7 +25,7 @@ class Distances(NamedTuple):
     runs: int
     median_m: Estimate
     best_m: float
-    failed: float  #: share of evaluations that failed
+    failed: float  #: share of failures among the evaluations that racing did not stop
     a12: Estimate | None  #: against the reference
     mann_whitney_p: float | None  #: against the reference, corrected over the arms (Holm)
 
@@ -60,8 +59,8 @@ def analyse(config: StudyConfig, results: Results) -> Analysis:
     """Compare the arms, using their finished runs only."""
     runs = {arm: found for arm, found in read_runs(results.table, config).items() if found}
     grid_s = np.linspace(0.0, config.budget_s, 201)
-    best_m = max((run.best_m[-1] for found in runs.values() for run in found), default=1.0)
-    targets_m = np.linspace(0.02, 1.0, TARGETS) * best_m
+    best_m = [run.best_at(config.budget_s) for found in runs.values() for run in found]
+    targets_m = np.linspace(0.02, 1.0, TARGETS) * (max(best_m, default=0.0) or 1.0)
     thresholds = [Threshold(value) for value in config.thresholds_m]
     if not thresholds:
         thresholds = [Threshold(generations=count) for count in config.generations]
@@ -90,10 +89,11 @@ def analyse(config: StudyConfig, results: Results) -> Analysis:
 def _distances(config: StudyConfig, runs: Runs, time_s: float) -> list[Distances]:
     reached_m = {arm: np.array([run.best_at(time_s) for run in found]) for arm, found in runs.items()}
     a12 = compare(config, reached_m, statistics.a12)
-    p = statistics.holm(compare(config, reached_m, lambda a, b: float(stats.mannwhitneyu(a, b).pvalue)))
+    p = statistics.holm(compare(config, reached_m, statistics.mann_whitney), config.comparisons())
     rows = []
     for arm, values in reached_m.items():
-        failures = np.concatenate([run.failure[run.spent_s <= time_s] for run in runs[arm]])
+        ends = np.concatenate([run.failure[run.spent_s <= time_s] for run in runs[arm]])
+        failures = ends[ends != "stopped"]
         rows.append(
             Distances(
                 arm=arm,
@@ -151,10 +151,10 @@ def summarize(analysis: Analysis) -> list[str]:
     for count, gains in analysis.gains.items():
         for gain in gains:
             if gain.ratio is not None and np.isfinite(gain.ratio.value):
-                value, low, high = (100 * (ratio - 1) for ratio in gain.ratio)
+                change = Estimate(*(100 * (ratio - 1) for ratio in gain.ratio))
                 lines.append(
-                    f"{gain.arm}: {value:+.0f} % distance after {count} generations against "
-                    f"{config.reference_of(gain.arm)} ({low:+.0f} to {high:+.0f} %; {gain.runs} runs)."
+                    f"{gain.arm}: {format_estimate(change, '{:+.0f}')} % distance after {count} "
+                    f"generations against {config.reference_of(gain.arm)} ({gain.runs} runs)."
                 )
     return lines
 
@@ -168,10 +168,12 @@ def _summarize_times(threshold: Threshold, row: Times, reference: str) -> str:
     line = f"{row.arm}: {row.reached} of {row.runs} runs reach {level}"
     if row.median_generations is not None and np.isfinite(row.median_generations.value):
         line += f", the median run after {format_estimate(row.median_generations, '{:.0f}')} generations"
+    if row.acceleration is not None and row.acceleration.value > 0:
+        line += f", {format_estimate(row.acceleration)} times as fast as {reference}"
     if row.speed_up is not None:
         line += (
-            f"; speed-up over {reference} {format_estimate(row.speed_up)}, log-rank p "
-            f"{format_p(row.log_rank_p)}"
+            f"; ratio of expected running times, {reference} to {row.arm}, "
+            f"{format_estimate(row.speed_up)}, log-rank p {format_p(row.log_rank_p)}"
         )
     return line + "."
 

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 from caterpillar_env.errors import CaterpillarError, check_fields, show
 from caterpillar_env.files import read, with_digest, write_json, writing
 from caterpillar_env.task import EPISODE_S
+from evolution.config import RunConfig
 from evolution.study.arms import Arm, EvolutionArm, make_arm
 
 SETTINGS = "study.json"  #: name of the file with a study's configuration
@@ -161,8 +162,12 @@ class StudyConfig:
         return [
             name
             for name, run in runs.items()
-            if base is not None and (run.optimizer, run.ga) == (base.optimizer, base.ga)
+            if base is not None and _algorithm(run) == _algorithm(base)
         ]
+
+    def comparisons(self) -> int:
+        """Return the number of arms that are compared with a reference."""
+        return sum(self.reference_of(arm) != arm for arm in self.arms)
 
     def warnings(self) -> list[str]:
         """Describe the arms that may not reach the generations at which arms are compared."""
@@ -181,6 +186,11 @@ class StudyConfig:
                     f"{budget_s:g}"
                 )
         return found
+
+
+def _algorithm(run: RunConfig) -> tuple[Any, ...]:
+    """Return the settings that decide what a generation is."""
+    return run.optimizer, run.ga, run.cma, run.shade, run.race_share, run.race_periods
 
 
 def read_toml(path: Path) -> StudyConfig:

@@ -113,7 +113,7 @@ def draw_speed_ups(analysis: Analysis) -> Figure | None:
     """Draw the speed-up of each arm over a range of thresholds, or return None if there is none."""
     if not analysis.speed_ups:
         return None
-    figure, axis = _new_figure("speed-up over the reference")
+    figure, axis = _new_figure("ratio of expected running times")
     axis.set_xlabel("distance to reach (mm)")
     colours = _colours(analysis)
     for arm, rows in analysis.speed_ups.items():
@@ -126,17 +126,18 @@ def draw_speed_ups(analysis: Analysis) -> Figure | None:
 
 
 def draw_genes(analysis: Analysis) -> Figure | None:
-    """Draw the speed-up over the number of genes, or return None if `references` is empty."""
+    """Draw how much faster arms are, over the number of genes; None if `references` is empty."""
     config, rows = analysis.config, next(reversed(list(analysis.times.values())), [])
     found: dict[str, list[tuple[float, ...]]] = {}
     for row in rows:
         arm = config.arms[row.arm]
-        if row.arm in config.references and row.speed_up and isinstance(arm, EvolutionArm):
+        ratio = row.acceleration or row.speed_up
+        if row.arm in config.references and ratio and isinstance(arm, EvolutionArm):
             genes = len(arm.config.encoding.genes)
-            found.setdefault(arm.config.prior, []).append((genes, *row.speed_up))
+            found.setdefault(arm.config.prior, []).append((genes, *ratio))
     if not found:
         return None
-    figure, axis = _new_figure("speed-up over the reference")
+    figure, axis = _new_figure("times as fast as the reference")
     axis.set_xlabel("number of genes")
     palette = colormaps["tab10"]
     for number, (prior, points) in enumerate(found.items()):

@@ -19,11 +19,11 @@ _CAPTIONS = {
     "dotted lines: thresholds.",
     "survival": "Share of runs that have not reached a threshold (Kaplan-Meier, 95 % intervals). Runs "
     "that never reach it are censored at their budget.",
-    "speed-up": "Speed-up over the reference, by the distance to reach, with 95 % intervals. Triangles: "
-    "no run of the reference (up) or of the arm (down) reached that distance, in some resamples or at "
-    "all.",
-    "genes": "Speed-up over the reference of the same robot, by the number of genes, with 95 % "
-    "intervals. Triangles as above.",
+    "speed-up": "Ratio of expected running times, reference to arm, by the distance to reach, with 95 % "
+    "intervals. A quarter of the reference's runs exceed the last distance. Triangles: no run of the "
+    "reference (up) or of the arm (down) reached that distance, in some resamples or at all.",
+    "genes": "How many times as fast as the reference of the same robot, by the number of genes, with "
+    "95 % intervals. Triangles: fewer than half of the runs reach the threshold.",
     "targets": "Share of 50 target distances reached, over all runs.",
 }
 
@@ -57,7 +57,8 @@ def write(analysis: Analysis, retest: Retest, folder: Path) -> Path:
     page = folder / "report.html"
     text = render(
         "study.html", filters, name=name_of(folder), analysis=analysis, config=analysis.config,
-        retest=retest, sentences=summarize(analysis), figures=shown,
+        retest=retest, fewest=min(len(analysis.runs.get(arm, [])) for arm in analysis.config.arms),
+        sentences=summarize(analysis), figures=shown,
         version=version("caterpillar-sma"),
     )  # fmt: skip
     write_bytes(page, text.encode(), COPY)

@@ -155,9 +155,9 @@ class Run(NamedTuple):
     """Progress of one run, in arrays over its E evaluations within the budget."""
 
     seed: int
-    spent_s: Array  #: simulated seconds after each evaluation, (E,)
+    spent_s: Array  #: simulated seconds after which the outcome of each evaluation is known, (E,)
     best_m: Array  #: largest distance so far of a robot that did not fail, at least 0, (E,)
-    failure: NDArray[Any]  #: "ok" or the kind of failure, (E,)
+    failure: NDArray[Any]  #: "ok", "stopped" (by racing) or the kind of failure, (E,)
     generation: NDArray[np.int64]  #: number of the generation, (E,)
     generations: int  #: number of generations completed within the budget
     budget_s: float  #: simulated seconds at which the run is censored
@@ -165,11 +165,11 @@ class Run(NamedTuple):
     @classmethod
     def of(cls, rows: polars.DataFrame, seed: int, budget_s: float) -> Run:
         """Create the progress of a run from its evaluations in order, as in `History.table`."""
-        spent_s = np.cumsum(rows["simulated_s"].to_numpy())
+        generation, stopped = rows["generation"].to_numpy(), rows["stopped"].to_numpy()
+        spent_s = _find_ends(rows["simulated_s"].to_numpy(), generation, stopped)
         count = int(np.searchsorted(spent_s, budget_s, side="right"))
-        generation, failure = rows["generation"].to_numpy(), rows["failure"].to_numpy()
-        complete = (failure == "ok") & ~rows["stopped"].to_numpy()
-        crawled_m = np.where(complete, np.maximum(rows["distance_m"].to_numpy(), 0.0), 0.0)
+        failure = np.where(stopped, "stopped", rows["failure"].to_numpy())
+        crawled_m = np.where(failure == "ok", np.maximum(rows["distance_m"].to_numpy(), 0.0), 0.0)
         return cls(
             seed=seed,
             spent_s=spent_s[:count],
@@ -200,6 +200,21 @@ class Run(NamedTuple):
         """Return the best distance (m) at a simulated time."""
         count = int(np.searchsorted(self.spent_s, time_s, side="right"))
         return float(self.best_m[count - 1]) if count else 0.0
+
+
+def _find_ends(simulated_s: Array, generation: NDArray[np.int64], stopped: NDArray[np.bool_]) -> Array:
+    """Return the simulated seconds after which the outcome of each evaluation is known, (E,).
+
+    With racing, all robots of a generation crawl until the others are stopped, before any robot crawls
+    to the end.
+    """
+    stop_s = simulated_s[stopped].max(initial=0.0)
+    early_s = np.minimum(simulated_s, stop_s)
+    _, first, place = np.unique(generation, return_index=True, return_inverse=True)
+    race_s = np.add.reduceat(early_s, first)[place] if len(first) else early_s
+    before_s = (np.cumsum(early_s) - early_s)[first][place]  # races of earlier generations
+    ends_s: Array = before_s + race_s + np.cumsum(simulated_s - early_s)
+    return ends_s
 
 
 def read_runs(table: polars.DataFrame, config: StudyConfig) -> dict[str, list[Run]]:

@@ -5,6 +5,8 @@ All functions take plain arrays with one value per run. Confidence intervals are
 
 from __future__ import annotations
 
+import itertools
+import math
 import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -18,7 +20,9 @@ from caterpillar_env.arrays import Array
 Flags = NDArray[np.bool_]
 
 LEVEL = 0.95  #: confidence level of all intervals
+FEWEST = 5  #: number of runs in the smallest group that has a bootstrap interval
 RESAMPLES = 4_999
+PERMUTATIONS = 4_999
 _SEED = 2009
 
 
@@ -74,12 +78,68 @@ def _first_below(times: Array, share: Array) -> float:
     return float(times[below[0]]) if below.size else float("inf")
 
 
-def log_rank(time_a: Array, reached_a: Flags, time_b: Array, reached_b: Flags) -> float:
-    """Return the p value of the log-rank test (Mantel 1966), or 1 where it is undefined."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # undefined where all times are equal
-        p = float(stats.logrank(_censored(time_a, reached_a), _censored(time_b, reached_b)).pvalue)
-    return p if np.isfinite(p) else 1.0
+def find_median(time: Array, reached: Flags) -> float:
+    """Return the median time of the Kaplan-Meier estimate, infinite if the share stays above 0.5."""
+    order = np.lexsort((~reached, time))  # at equal times, runs that reached the threshold come first
+    share = np.cumprod(1.0 - reached[order] / np.arange(len(time), 0, -1), dtype=np.float64)
+    return _first_below(time[order], share)
+
+
+def log_rank_statistic(time: Array, reached: Flags, first: Flags) -> float:
+    """Return the statistic of the log-rank test (Mantel 1966), or 0 where it is undefined.
+
+    Args:
+        time: time at which each run of both groups reached the threshold or was censored, (n,).
+        reached: True for runs that reached the threshold, False for censored runs, (n,).
+        first: True for runs of the first group, (n,).
+
+    Returns:
+        The difference of observed and expected arrivals in the first group, in standard deviations.
+    """
+    at, events = np.unique(time[reached], return_counts=True)
+    risk, risk_first = (
+        len(group) - np.searchsorted(np.sort(group), at, side="left") for group in (time, time[first])
+    )
+    share = risk_first / risk
+    expected = float(np.sum(events * share))
+    variance = events * share * (1.0 - share) * (risk - events) / np.maximum(risk - 1, 1)
+    spread = float(np.sqrt(np.sum(variance)))
+    return abs(np.count_nonzero(reached & first) - expected) / spread if spread > 0 else 0.0
+
+
+def permutation_p(statistic: Callable[[Flags], float], first: int, total: int) -> float:
+    """Return the p value of a permutation test of two groups.
+
+    All assignments of the runs to the groups are tried if there are at most `PERMUTATIONS`, else
+    `PERMUTATIONS` random ones. The test is exact in both cases (Phipson and Smyth 2010).
+
+    Args:
+        statistic: function of a mask of the runs of the first group, (total,). Large values speak
+            against equal groups.
+        first: number of runs of the first group, which come first.
+        total: number of runs of both groups.
+    """
+    observed = np.arange(total) < first
+    least = statistic(observed) * (1.0 - 1e-9)
+    if math.comb(total, first) <= PERMUTATIONS:
+        masks = (np.isin(np.arange(total), rows) for rows in itertools.combinations(range(total), first))
+        return float(np.mean([statistic(mask) >= least for mask in masks]))
+    rng = np.random.default_rng(_SEED)
+    extreme = sum(statistic(rng.permutation(observed)) >= least for _ in range(PERMUTATIONS))
+    return (1 + extreme) / (1 + PERMUTATIONS)
+
+
+def mann_whitney(a: Array, b: Array) -> float:
+    """Return the p value of the Mann-Whitney test: exact without ties, else from permutations.
+
+    Large groups with ties have the p value of the normal approximation.
+    """
+    method: Any = "exact"
+    if len(np.unique(np.concatenate([a, b]))) < len(a) + len(b):
+        small = max(len(a), len(b)) <= 10
+        rng = np.random.default_rng(_SEED)
+        method = stats.PermutationMethod(n_resamples=PERMUTATIONS, rng=rng) if small else "asymptotic"
+    return float(stats.mannwhitneyu(a, b, method=method).pvalue)
 
 
 def expected_running_time(time: Array, reached: Flags) -> float:
@@ -98,8 +158,9 @@ def speed_up(time: Array, reached: Flags, reference_time: Array, reference_reach
 def bootstrap(statistic: Callable[..., float], *groups: tuple[NDArray[Any], ...]) -> Estimate:
     """Estimate a statistic of groups of runs with the percentile interval of the bootstrap.
 
-    The interval is NaN if the statistic is infinite or undefined. Resamples in which the statistic is
-    undefined are ignored. Equal arguments give equal intervals.
+    The quantiles are those of Hesterberg (2015), which are wider for small groups. The interval is NaN
+    if the statistic is infinite or undefined, or if a group has fewer than `FEWEST` runs. Resamples in
+    which the statistic is undefined are ignored. Equal arguments give equal intervals.
 
     Args:
         statistic: function of the arrays of all groups, in order.
@@ -107,7 +168,8 @@ def bootstrap(statistic: Callable[..., float], *groups: tuple[NDArray[Any], ...]
     """
     rng = np.random.default_rng(_SEED)
     value = statistic(*(array for group in groups for array in group))
-    if not np.isfinite(value):
+    size = min(len(group[0]) for group in groups)
+    if not np.isfinite(value) or size < FEWEST:
         return Estimate(value, float("nan"), float("nan"))
     values = np.empty(RESAMPLES)
     for i in range(RESAMPLES):
@@ -116,7 +178,7 @@ def bootstrap(statistic: Callable[..., float], *groups: tuple[NDArray[Any], ...]
             rows = rng.integers(0, len(group[0]), len(group[0]))
             arrays += [array[rows] for array in group]
         values[i] = statistic(*arrays)
-    tail = (1.0 - LEVEL) / 2
+    tail = float(stats.norm.sf(np.sqrt(size / (size - 1)) * stats.t.ppf(0.5 + LEVEL / 2, size - 1)))
     # The statistic may be infinite (no run reached the threshold), so do not interpolate quantiles.
     values = np.sort(values[~np.isnan(values)])
     low, high = (values[round(q * (len(values) - 1))] for q in (tail, 1.0 - tail))
@@ -151,11 +213,16 @@ def a12(a: Array, b: Array) -> Estimate:
     return Estimate(value, low, high)
 
 
-def holm(p: Mapping[str, float]) -> dict[str, float]:
-    """Correct the p values of a family of tests by Holm's method (1979)."""
-    corrected, largest = {}, 0.0
+def holm(p: Mapping[str, float], planned: int = 0) -> dict[str, float]:
+    """Correct the p values of a family of tests by Holm's method (1979).
+
+    Args:
+        p: p values by name.
+        planned: number of tests in the family, if some are missing.
+    """
+    corrected, largest, count = {}, 0.0, max(planned, len(p))
     for rank, name in enumerate(sorted(p, key=p.__getitem__)):
-        largest = max(largest, min((len(p) - rank) * p[name], 1.0))
+        largest = max(largest, min((count - rank) * p[name], 1.0))
         corrected[name] = largest
     return corrected
 

@@ -62,27 +62,33 @@ class Times(NamedTuple):
     arm: str
     threshold_m: float  #: NaN if the runs of the reference do not define it
     runs: int
-    reached: int
+    reached: int  #: number of runs that reach it within the budget of all arms
     median_s: Estimate  #: Kaplan-Meier
     median_generations: Estimate | None  #: the same in generations; None if not comparable
-    running_time_s: Estimate  #: ERT
+    #: Generations that define the threshold per generation of the median run, as in the paper; 0 if
+    #: fewer than half of the runs reach it. None for a reference or a fixed threshold.
+    acceleration: Estimate | None
+    running_time_s: Estimate  #: ERT within the budget of all arms
     speed_up: Estimate | None  #: ratio of ERTs, reference to arm; None for a reference
     log_rank_p: float | None  #: against the reference, corrected over the arms (Holm)
 
 
-def arrivals(runs: Sequence[Run], threshold_m: float) -> Arrivals:
+def arrivals(runs: Sequence[Run], threshold_m: float, budget_s: float = np.inf) -> Arrivals:
     """Return each run's time (s) to a threshold or to the end of its budget, (n,).
 
-    The second array, (n,), is True where a run reached the threshold.
+    The second array, (n,), is True where a run reached the threshold. With `budget_s`, longer runs are
+    censored at this time.
     """
     times = np.array([run.time_to(threshold_m) for run in runs])
-    return np.minimum(times, [run.budget_s for run in runs]), np.isfinite(times)
+    ends = np.minimum([run.budget_s for run in runs], budget_s)
+    return np.minimum(times, ends), times <= ends
 
 
 def count_generations(runs: Sequence[Run], threshold_m: float) -> Arrivals:
     """Return each run's number of generations to a threshold or to its end; see `arrivals`."""
     counts = np.array([run.generations_to(threshold_m) for run in runs])
-    return np.minimum(counts, [run.generations for run in runs]), np.isfinite(counts)
+    reached = np.isfinite(counts)
+    return np.where(reached, counts, [run.generations for run in runs]), reached
 
 
 def compare(config: StudyConfig, groups: dict[str, G], statistic: Callable[[G, G], T]) -> dict[str, T]:
@@ -99,31 +105,32 @@ def find_times(config: StudyConfig, runs: Runs, threshold: Threshold) -> list[Ti
     """Return the times of all arms to a threshold.
 
     Where the threshold depends on the reference's runs, bootstrap intervals of running times and
-    speed-ups include its uncertainty: each resample has its own threshold.
+    speed-ups include its uncertainty: each resample has its own threshold. So does each permutation of
+    the log-rank test, unless some runs ended before the threshold is defined.
     """
-
-    def test(group: list[Run], reference: list[Run]) -> float:
-        level_m = threshold.of(reference)
-        return statistics.log_rank(*arrivals(group, level_m), *arrivals(reference, level_m))
-
-    comparable = config.comparable()
-    log_rank = statistics.holm(compare(config, runs, test))
-    speed_up = compare(config, runs, partial(_speed_up, threshold))
+    comparable, budget_s = config.comparable(), config.budget_s
+    p = compare(config, runs, partial(_log_rank, threshold, budget_s=budget_s))
+    log_rank = statistics.holm(p, config.comparisons())
+    speed_up = compare(config, runs, partial(_speed_up, threshold, budget_s=budget_s))
     rows = []
     for arm, found in runs.items():
         reference = runs.get(config.reference_of(arm), [])
         level_m = threshold.of(reference)
-        time, reached = arrivals(found, level_m)
-        counts = count_generations(found, level_m) if arm in comparable else None
+        counts = acceleration = None
+        if arm in comparable:
+            counts = count_generations(found, level_m)
+            if arm in speed_up and threshold.fixed_m is None:
+                acceleration = _accelerate(threshold, found, reference)
         rows.append(
             Times(
                 arm=arm,
                 threshold_m=level_m,
-                runs=len(time),
-                reached=int(reached.sum()),
-                median_s=statistics.kaplan_meier(time, reached).median,
+                runs=len(found),
+                reached=int(arrivals(found, level_m, budget_s)[1].sum()),
+                median_s=statistics.kaplan_meier(*arrivals(found, level_m)).median,
                 median_generations=counts and statistics.kaplan_meier(*counts).median,
-                running_time_s=_running_time(threshold, found, reference),
+                acceleration=acceleration,
+                running_time_s=_running_time(threshold, found, reference, budget_s),
                 speed_up=speed_up.get(arm),
                 log_rank_p=log_rank.get(arm),
             )
@@ -132,23 +139,58 @@ def find_times(config: StudyConfig, runs: Runs, threshold: Threshold) -> list[Ti
 
 
 def find_speed_ups(config: StudyConfig, runs: Runs) -> dict[str, list[tuple[float, Estimate]]]:
-    """Return the speed-up of each arm over a range of thresholds (m) that its reference reached."""
+    """Return the speed-up of each arm over a range of thresholds (m).
+
+    The last threshold is the distance that a quarter of the reference's runs exceed.
+    """
 
     def find(group: list[Run], reference: list[Run]) -> list[tuple[float, Estimate]]:
-        farthest_m = max(run.best_m[-1] for run in reference)
-        levels_m = farthest_m * np.linspace(1 / STEPS, 1.0, STEPS)
-        return [(level, _speed_up(Threshold(level), group, reference)) for level in levels_m.tolist()]
+        best_m = [run.best_at(config.budget_s) for run in reference]
+        levels_m = np.quantile(best_m, 0.75) * np.linspace(1 / STEPS, 1.0, STEPS)
+        return [
+            (level_m, _speed_up(Threshold(level_m), group, reference, budget_s=config.budget_s))
+            for level_m in levels_m.tolist()
+            if level_m > 0
+        ]
 
-    return compare(config, runs, find)
+    return {arm: rows for arm, rows in compare(config, runs, find).items() if rows}
 
 
 def _indices(runs: Sequence[Run]) -> tuple[NDArray[Any]]:
     return (np.arange(len(runs)),)
 
 
-def _running_time(threshold: Threshold, runs: list[Run], reference: list[Run]) -> Estimate:
+def _log_rank(threshold: Threshold, runs: list[Run], reference: list[Run], *, budget_s: float) -> float:
+    """Return the p value of the log-rank test of runs within the same budget, from permutations."""
+    both, known_m = [*runs, *reference], threshold.of(reference)
+    find, level = cache(partial(arrivals, both, budget_s=budget_s)), threshold.find(both)
+    is_fixed = np.isnan([run.best_after(threshold.generations) for run in both]).any()
+
+    def statistic(first: NDArray[np.bool_]) -> float:
+        level_m = known_m if is_fixed else level(np.flatnonzero(~first))
+        return 0.0 if np.isnan(level_m) else statistics.log_rank_statistic(*find(level_m), first)
+
+    return statistics.permutation_p(statistic, len(runs), len(both))
+
+
+def _accelerate(threshold: Threshold, runs: list[Run], reference: list[Run]) -> Estimate:
+    """Estimate the generations that define a threshold, per generation of the median run."""
+    level, find = threshold.find(reference), cache(partial(count_generations, runs))
+
+    def acceleration(rows: Rows, base: Rows) -> float:
+        level_m = level(base)
+        counts, reached = find(level_m)
+        median = statistics.find_median(counts[rows], reached[rows])
+        return float("nan") if np.isnan(level_m) else threshold.generations / median
+
+    return statistics.bootstrap(acceleration, _indices(runs), _indices(reference))
+
+
+def _running_time(
+    threshold: Threshold, runs: list[Run], reference: list[Run], budget_s: float
+) -> Estimate:
     """Estimate the ERT to a threshold."""
-    level, find = threshold.find(reference), cache(partial(arrivals, runs))
+    level, find = threshold.find(reference), cache(partial(arrivals, runs, budget_s=budget_s))
 
     def running_time(rows: Rows, base: Rows | None = None) -> float:
         level_m = level(rows if base is None else base)
@@ -161,10 +203,12 @@ def _running_time(threshold: Threshold, runs: list[Run], reference: list[Run]) -
     return statistics.bootstrap(running_time, _indices(runs), _indices(reference))
 
 
-def _speed_up(threshold: Threshold, runs: list[Run], reference: list[Run]) -> Estimate:
+def _speed_up(
+    threshold: Threshold, runs: list[Run], reference: list[Run], *, budget_s: float
+) -> Estimate:
     """Estimate the ratio of ERTs to a threshold, reference to arm."""
     level = threshold.find(reference)
-    find, find_base = cache(partial(arrivals, runs)), cache(partial(arrivals, reference))
+    find, find_base = (cache(partial(arrivals, group, budget_s=budget_s)) for group in (runs, reference))
 
     def speed_up(rows: Rows, base: Rows) -> float:
         level_m = level(base)

@@ -70,6 +70,7 @@ class Comparison(NamedTuple):
     median_share: float  #: share of the recorded distance, over robots that do not fail; NaN if all fail
     smallest_share: float  #: the same
     largest_share: float  #: the same
+    median_m: float  #: median distance of all robots, where a failure counts as 0
 
 
 class Crawling(NamedTuple):
@@ -254,8 +255,19 @@ def _compare(arm: str, rows: Sequence[_Row]) -> list[Comparison]:
     for name in CONDITIONS if rows else ():
         ends = [(row["references"][name], row["recorded_m"]) for row in rows]
         shares = [end["distance_m"] / before for end, before in ends if end["failure"] == "ok"]
-        values = (float(f(shares)) if shares else math.nan for f in (np.median, np.min, np.max))
-        found.append(Comparison(arm, name, len(ends), len(ends) - len(shares), *values))
+        fitness_m = [max(end["distance_m"], 0.0) * (end["failure"] == "ok") for end, _ in ends]
+        found.append(
+            Comparison(
+                arm=arm,
+                condition=name,
+                robots=len(ends),
+                failed=sum(end["failure"] != "ok" for end, _ in ends),
+                median_share=float(np.median(shares)) if shares else math.nan,
+                smallest_share=min(shares, default=math.nan),
+                largest_share=max(shares, default=math.nan),
+                median_m=float(np.median(fitness_m)),
+            )
+        )
     return found
 
 

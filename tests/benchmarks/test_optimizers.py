@@ -6,7 +6,7 @@ import numpy as np
 import polars
 import pytest
 
-from benchmarks import optimizers
+from benchmarks import optimizers, packages
 from caterpillar_env import Physics
 from caterpillar_env.errors import CaterpillarError
 from evolution.priors.distributions import Gaussian, Uniform, draw
@@ -25,7 +25,7 @@ def test_minimizer_is_wrapped_as_an_ask_tell_optimizer():
         seen.extend(costs)
         function([[0.1, 0.1]])
 
-    asked = optimizers.Asked(minimize)
+    asked = packages.Asked(minimize)
     genomes = asked.ask()
     np.testing.assert_array_equal(genomes, [[0.2, 1.0], [0.4, 0.5]])  # within the bounds
     asked.tell(genomes, np.array([3.0, 4.0]))
@@ -37,7 +37,7 @@ def test_minimizer_is_wrapped_as_an_ask_tell_optimizer():
 
 
 def test_creep_moves_some_genes_by_small_steps():
-    creep = optimizers.Creep(SMALL)
+    creep = packages.Creep(SMALL)
     parents = creep.ask()
     creep.tell(parents, np.ones(len(parents)))
     children = creep.ask()
@@ -50,7 +50,7 @@ def test_creep_moves_some_genes_by_small_steps():
 
 def test_circular_genes_are_centred_at_their_peak():
     config = optimizers.BASE
-    centred, shapes = optimizers.Centred(config), config.distributions()
+    centred, shapes = packages.Centred(config), config.distributions()
     genomes = draw(shapes, np.random.default_rng(0), 50)
     points = centred._from_genes(genomes)
     np.testing.assert_allclose(centred._to_genes(points), genomes)
@@ -63,7 +63,7 @@ def test_circular_genes_are_centred_at_their_peak():
 def test_warm_start_begins_near_the_peaks_of_the_prior():
     pytest.importorskip("cmaes")
     config = optimizers.BASE
-    warm, cold = optimizers.WarmStart(config), draw([Uniform()] * 12, np.random.default_rng(0), 400)
+    warm, cold = packages.WarmStart(config), draw([Uniform()] * 12, np.random.default_rng(0), 400)
     asked = np.concatenate([warm.ask() for _ in range(40)])
     shapes = config.distributions()
 
@@ -78,7 +78,7 @@ def test_warm_start_begins_near_the_peaks_of_the_prior():
 @pytest.mark.filterwarnings("ignore")
 def test_pibo_prefers_the_prior_at_first_and_learns():
     pytest.importorskip("smac")
-    pibo, shapes = optimizers.PiBO(optimizers.BASE), optimizers.BASE.distributions()
+    pibo, shapes = packages.PiBO(optimizers.BASE), optimizers.BASE.distributions()
     asked = []
     for _ in range(36):  # six more than the initial design
         genomes = pibo.ask()
@@ -101,4 +101,4 @@ def test_run_spends_its_budget_and_returns_a_row(monkeypatch, tmp_path, name):
     summary = optimizers.summarize(polars.DataFrame([row, better]), polars.DataFrame([row, row]))
     assert summary["runs"] == 2
     assert summary["A12 against shade"].startswith("0.75 (")
-    assert summary["ERT to 200 mm, s"] == "9,070 (70 to inf); 1 reached"
+    assert summary["ERT to 200 mm, s"] == "9,070; 1 reached"

@@ -27,16 +27,10 @@ def make_run(seed, best_m, failure=("ok", "ok")):
 NEVER = Estimate(1600.0, np.nan, np.nan)
 RATIO = Estimate(2.0, 1.5, np.inf)
 TIMES = Times(
-    "ga-uniform",
-    0.05,
-    2,
-    1,
-    Estimate(60.0, 50.0, 70.0),
-    Estimate(3.0, 2.0, np.inf),
-    NEVER,
-    RATIO,
-    0.0162,
-)
+    arm="ga-uniform", threshold_m=0.05, runs=2, reached=1,
+    median_s=Estimate(60.0, 50.0, 70.0), median_generations=Estimate(3.0, 2.0, np.inf),
+    acceleration=Estimate(1.67, 0.0, 2.5), running_time_s=NEVER, speed_up=RATIO, log_rank_p=0.0162,
+)  # fmt: skip
 STUDY = Analysis(
     config=CONFIG, missing=(), times={Threshold(0.05): [TIMES]}, distances={}, gains={}, speed_ups={},
     runs={"ga-uniform": [make_run(0, [0.0, 0.02]), make_run(1, [0.01, 0.06], ("ok", "tipped"))]},
@@ -89,7 +83,7 @@ def test_speed_ups_beyond_the_axis_are_triangles():
     assert figures.draw_speed_ups(STUDY) is None
 
 
-def test_speed_up_is_drawn_over_the_number_of_genes():
+def test_acceleration_is_drawn_over_the_number_of_genes():
     arms = {
         f"{count}-{prior}": {"prior": prior, "physics": {"num_segments": count}}
         for count in (4, 8) for prior in ("uniform", "body")
@@ -98,7 +92,8 @@ def test_speed_up_is_drawn_over_the_number_of_genes():
     config = StudyConfig.from_dict(
         {"seeds": [0], "budget_s": 100, "arms": arms, "reference": "4-uniform", "references": references}
     )
-    rows = [TIMES._replace(arm=arm, speed_up=RATIO if "body" in arm else None) for arm in arms]
+    rows = [TIMES._replace(arm=arm, acceleration=RATIO if "body" in arm else None) for arm in arms]
+    rows = [row._replace(speed_up=row.acceleration and NEVER) for row in rows]
     drawn = replace(STUDY, config=config, times={Threshold(generations=50): rows})
     (axis,) = figures.draw_genes(drawn).axes
     assert axis.lines[0].get_xdata().tolist() == [20, 36]
@@ -117,20 +112,30 @@ def test_page_shows_every_number_in_its_unit(tmp_path):
     )
     retest = Retest(
         [Winner("ga-uniform", 1, 0.06, 0.0301, "ok")],
-        [Comparison("ga-uniform", "Runge-Kutta", 2, 1, 0.979, 0.95, 1.02)],
+        [Comparison("ga-uniform", "Runge-Kutta", 2, 1, 0.979, 0.95, 1.02, 0.03)],
         [Crawling("ga-uniform", "load on the body", 2, 0.03, 0.01, 0.05)],
     )
     page = report.write(analysis, retest, tmp_path).read_text("utf-8")
     rows = [row.split("<td>")[1:] for row in re.findall(r"<tr>(<td>.*)</tr>", page)]
     fast = "2.00 (1.50 to ∞)"
     assert rows == [
-        ["ga-uniform", "50.0", "1 of 2", "60 (50 to 70)", "3 (2 to ∞)", "1,600", fast, "0.016"],
+        [
+            "ga-uniform",
+            "50.0",
+            "1 of 2",
+            "60 (50 to 70)",
+            "3 (2 to ∞)",
+            "1.67 (0.00 to 2.50)",
+            "1,600",
+            fast,
+            "0.016",
+        ],
         ["ga-uniform", "2", "40.0 (30.0 to 50.0)", "60.0", "25 %", fast, "&lt; 0.001"],
         ["ga-uniform", "2", "40.0 (30.0 to 50.0)", fast, ""],
         ["ga-uniform", "1", "60.0", "30.1", "artefact of the timestep"],
-        ["ga-uniform", "Runge-Kutta", "2", "1", "97.9 %", "95.0 % to 102.0 %"],
+        ["ga-uniform", "Runge-Kutta", "2", "1", "97.9 %", "95.0 % to 102.0 %", "30.0"],
         ["ga-uniform", "2", "load on the body", "3.0 %", "1.0 % to 5.0 %"],
-    ]
+    ]  # fmt: skip
     assert "Time to 50 mm" in page
     assert "After 50 generations" in page
     assert "A threshold is the median\ndistance of the reference" in page
@@ -139,11 +144,13 @@ def test_page_shows_every_number_in_its_unit(tmp_path):
 def test_page_does_not_derive_given_thresholds_from_the_reference(tmp_path):
     config = replace(CONFIG, thresholds_m=(0.05,))
     page = report.write(replace(STUDY, config=config, runs={}), Retest([], [], []), tmp_path)
-    assert "A threshold is the median" not in page.read_text("utf-8")
+    text = page.read_text("utf-8")
+    assert "A threshold is the median" not in text
+    assert "times as fast<br>" not in text
 
 
 def test_page_of_policies_has_no_table_of_gaits(tmp_path):
-    retest = Retest([], [Comparison("ppo", "Runge-Kutta", 2, 1, 0.979, 0.95, 1.02)], [])
+    retest = Retest([], [Comparison("ppo", "Runge-Kutta", 2, 1, 0.979, 0.95, 1.02, 0.03)], [])
     page = report.write(replace(STUDY, runs={}), retest, tmp_path).read_text("utf-8")
     assert "simulated again</h2>" in page
     assert "How the best robots crawl" not in page

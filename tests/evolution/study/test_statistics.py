@@ -47,19 +47,57 @@ def test_median_is_infinite_if_most_runs_are_censored():
     assert curve.median.value == np.inf
 
 
+def test_median_of_the_survival_curve():
+    assert statistics.find_median(TREATED, RELAPSED) == 23
+    assert statistics.find_median(PLACEBO, ALL) == 8
+    assert statistics.find_median(np.array([5.0, 5.0, 3.0]), np.array([False, False, True])) == np.inf
+
+
 def test_log_rank_of_the_textbook_example():
-    p = statistics.log_rank(TREATED, RELAPSED, PLACEBO, ALL)
-    assert p == pytest.approx(float(stats.chi2.sf(16.79, 1)), rel=5e-3)
+    time, reached = np.concatenate([TREATED, PLACEBO]), np.concatenate([RELAPSED, ALL])
+    treated = np.arange(42) < 21
+    found = statistics.log_rank_statistic(time, reached, treated)
+    assert found**2 == pytest.approx(16.79, abs=5e-3)
+    assert found == pytest.approx(statistics.log_rank_statistic(time, reached, ~treated))
+    both = stats.CensoredData.right_censored
+    theirs = stats.logrank(both(TREATED, ~RELAPSED), both(PLACEBO, ~ALL))
+    assert found == pytest.approx(abs(theirs.statistic))
 
 
-def test_log_rank_is_one_if_no_run_reaches_the_threshold():
-    none = np.zeros(3, dtype=bool)
-    assert statistics.log_rank(np.ones(3), none, np.ones(3), none) == 1.0
+@pytest.mark.parametrize("reached", [[False] * 4, [True] * 4])
+def test_log_rank_is_zero_if_no_run_or_all_runs_arrive_at_once(reached):
+    first = np.array([True, True, False, False])
+    assert statistics.log_rank_statistic(np.ones(4), np.array(reached), first) == 0.0
 
 
-def test_log_rank_is_one_if_all_times_are_equal():
-    yes = np.ones(1, dtype=bool)
-    assert statistics.log_rank(np.array([30.0]), yes, np.array([30.0]), yes) == 1.0
+def test_permutations_are_exact_for_small_groups():
+    values = np.array([5.0, 6.0, 7.0, 1.0, 2.0, 3.0])
+
+    def difference(first):
+        return abs(values[first].mean() - values[~first].mean())
+
+    assert statistics.permutation_p(difference, 3, 6) == pytest.approx(2 / 20)
+    assert statistics.permutation_p(lambda first: 0.0, 3, 6) == 1.0
+
+
+def test_random_permutations_agree_with_the_exact_test(monkeypatch):
+    values = np.array([1.0, 4.0, 3.0, 8.0, 6.0, 2.0, 7.0, 9.0, 12.0, 10.0])
+
+    def difference(first):
+        return abs(values[first].mean() - values[~first].mean())
+
+    exact = statistics.permutation_p(difference, 5, 10)
+    monkeypatch.setattr(statistics, "PERMUTATIONS", 250)  # fewer than the 252 assignments
+    assert statistics.permutation_p(difference, 5, 10) == pytest.approx(exact, abs=0.04)
+
+
+def test_mann_whitney_is_exact_for_small_groups_with_ties():
+    assert statistics.mann_whitney(np.arange(4.0), np.arange(4.0) + 9) == pytest.approx(2 / 70)
+    assert statistics.mann_whitney(np.zeros(3), np.ones(3)) == pytest.approx(2 / 20)
+    assert statistics.mann_whitney(np.arange(30.0), np.arange(30.0) + 30) < 1e-16
+    assert statistics.mann_whitney(np.zeros(12), np.repeat([0.0, 1.0], 6)) == pytest.approx(
+        stats.mannwhitneyu(np.zeros(12), np.repeat([0.0, 1.0], 6)).pvalue
+    )
 
 
 def test_expected_running_time_includes_unsuccessful_runs():
@@ -88,12 +126,30 @@ def test_bootstrap_of_a_mean_agrees_with_students_interval():
 def test_bootstrap_resamples_the_arrays_of_a_group_together_and_is_seeded(few_draws):
     def paired(a, b, c):
         assert np.array_equal(b, 10 * a)
-        assert len(c) == 2
+        assert len(c) == 6
         return float(a.sum())
 
-    groups = [(np.arange(5.0), 10 * np.arange(5.0)), (np.zeros(2),)]
+    groups = [(np.arange(5.0), 10 * np.arange(5.0)), (np.zeros(6),)]
     one, two = (statistics.bootstrap(paired, *groups) for _ in range(2))
     assert one == two
+
+
+def test_bootstrap_of_fewer_than_five_runs_has_no_interval():
+    found = statistics.median(np.array([1.0, 2.0, 3.0, 4.0]))
+    assert found.value == 2.5
+    assert np.isnan([found.low, found.high]).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("runs", "least"), [(5, 0.85), (10, 0.88), (30, 0.91)])
+def test_bootstrap_intervals_nearly_have_their_nominal_coverage(runs, least, monkeypatch):
+    monkeypatch.setattr(statistics, "RESAMPLES", 499)
+    rng, covered, truth = np.random.default_rng(3), 0, np.exp(0.5**2 / 2)
+    for _ in range(500):
+        time, reached = rng.lognormal(0.0, 0.5, runs), np.ones(runs, dtype=bool)
+        found = statistics.bootstrap(statistics.expected_running_time, (time, reached))
+        covered += found.low <= truth <= found.high
+    assert least < covered / 500 < 0.99
 
 
 def test_bootstrap_of_an_infinite_statistic_has_no_interval():
@@ -104,13 +160,13 @@ def test_bootstrap_of_an_infinite_statistic_has_no_interval():
 
 
 def test_bootstrap_leaves_out_undefined_resamples():
-    once = np.array([True, False])
+    once = np.array([True, False, False, False, False])
     found = statistics.bootstrap(
         statistics.speed_up,
-        (np.array([5.0, 10.0]), once),
-        (np.array([8.0, 10.0]), once),
+        (np.array([5.0, 10.0, 10.0, 10.0, 10.0]), once),
+        (np.array([8.0, 10.0, 10.0, 10.0, 10.0]), once),
     )
-    assert found.value == pytest.approx(18 / 15)
+    assert found.value == pytest.approx(48 / 45)
     assert (found.low, found.high) == (0.0, np.inf)
 
 
@@ -145,6 +201,7 @@ def test_holm_of_a_worked_example():
     assert statistics.holm(p) == pytest.approx({"a": 0.03, "b": 0.06, "c": 0.06, "d": 0.02})
     assert statistics.holm({"a": 0.9, "b": 0.8}) == pytest.approx({"a": 1.0, "b": 1.0})
     assert statistics.holm({}) == {}
+    assert statistics.holm({"a": 0.01, "b": 0.02}, planned=5) == pytest.approx({"a": 0.05, "b": 0.08})
 
 
 def test_target_ecdf_counts_pairs():
@@ -190,8 +247,10 @@ def test_survival_agrees_with_lifelines(scale):
         ):  # at a share of 0, the upper bound of lifelines is 0, and ours keeps the last defined bound
             assert ours.median.high == high
         other = draw_censored(100 + seed, 40.0)
-        expected = logrank_test(time, other[0], reached, other[1]).p_value
-        assert statistics.log_rank(time, reached, *other) == pytest.approx(expected)
+        expected = logrank_test(time, other[0], reached, other[1]).test_statistic
+        first = np.arange(2 * len(time)) < len(time)
+        both = (np.concatenate(pair) for pair in zip((time, reached), other, strict=True))
+        assert statistics.log_rank_statistic(*both, first) ** 2 == pytest.approx(expected)
 
 
 @pytest.mark.slow

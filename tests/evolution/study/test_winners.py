@@ -147,7 +147,10 @@ def test_best_robot_of_every_run_is_simulated_under_the_conditions(compare, tmp_
     ]
     assert 0 < len(shares) <= 3
     middle, low, high = (pytest.approx(f(shares)) for f in (np.median, min, max))
-    assert found.comparisons == [Comparison("a", "5 ms", 3, 3 - len(shares), middle, low, high)]
+    median_m = pytest.approx(np.median([end.fitness()[0] for end in ends]))
+    assert found.comparisons == [
+        Comparison("a", "5 ms", 3, 3 - len(shares), middle, low, high, median_m)
+    ]
     loads = np.quantile([measure_gait(robot).body_load for robot in robots], [0.5, 0.25, 0.75])
     assert Crawling("a", "load on the body", 3, *map(pytest.approx, loads)) in found.crawling
     saved = Robot.load(tmp_path / "winners" / "a" / "seed-1.json")
@@ -167,7 +170,9 @@ def test_failed_robots_are_counted_separately(compare, tmp_path, monkeypatch):
 
     monkeypatch.setattr(winners, "simulate", simulate)
     share = pytest.approx(0.9)
-    assert compare({0: 0.2, 1: 0.3}).comparisons == [Comparison("a", "5 ms", 2, 1, share, share, share)]
+    assert compare({0: 0.2, 1: 0.3}).comparisons == [
+        Comparison("a", "5 ms", 2, 1, share, share, share, pytest.approx(0.27 / 2))
+    ]
 
 
 def test_robots_are_simulated_once(compare, tmp_path, monkeypatch):
