@@ -11,6 +11,7 @@ import re
 import shutil
 import subprocess
 from dataclasses import asdict
+from importlib.metadata import files
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +26,14 @@ from caterpillar_env.morphology import PARAMETERS, Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, SMA_STEP_S, Physics
 from caterpillar_env.robot import Robot
 from caterpillar_env.sma import NODES
-from caterpillar_env.task import EPISODE_S, MIN_LOAD_N, Failure, FailureLimits
+from caterpillar_env.task import EPISODE_S, MIN_LOAD_N, FailureLimits
 from evolution.genome import Encoding
+from evolution.study.config import load
 
 WEB = Path(__file__).parent
 WINNERS = WEB.parent / "results" / "search" / "winners"
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w.])")
-_OLDEST_NODE = (20, 19)  # of Vite 8
+_NODE = "20.19 or later 20, or 22.12 or later"  # as Vite 8 requires
 _PROBES = 60
 _DIGITS = 11  #: decimal places of coefficients
 
@@ -43,6 +45,7 @@ def export_data() -> dict[str, Any]:
     model = ModelBuilder(physics, scenery=False).build(Morphology())
     derived = ("heating_w_kg", "cooling_w_kg_k", "time_constant_s", "drive_power_w")
     ramp_c = np.linspace(spring.ambient_c, spring.cut_off_c, 33)
+    study = load(WINNERS.parent)
     wave = Encoding(physics, timing="wave").genes[len(PARAMETERS) :]
     return {
         "mujoco": mujoco.__version__,
@@ -60,7 +63,6 @@ def export_data() -> dict[str, Any]:
         "control_interval_s": CONTROL_INTERVAL_S,
         "episode_s": EPISODE_S,
         "min_load_n": MIN_LOAD_N,
-        "failures": [failure.label for failure in Failure],
         "thresholds": FailureLimits()._asdict(),
         "loads": list(range(model.nsensordata))[LOADS],
         "spring": asdict(spring) | {name: getattr(spring, name) for name in derived} | {"nodes": NODES},
@@ -68,6 +70,10 @@ def export_data() -> dict[str, Any]:
         "model": _parametrize(physics),
         # The effect of `trim_tendons`, which XML cannot carry
         "tendons": {name: getattr(model, name).tolist() for name in ("ten_J_rownnz", "ten_J_colind")},
+        "search": {
+            "population": study.arms["shade"].config.shade.shade_population,
+            "budget_s": study.budget_s,
+        },
         "winners": [_read_winner(path, physics) for path in sorted(WINNERS.glob("*/*.json"))],
     }
 
@@ -126,7 +132,7 @@ def find_npm() -> str | None:
         return None
     answer = subprocess.run([node, "--version"], check=True, capture_output=True, text=True).stdout
     version = tuple(int(part) for part in re.findall(r"\d+", answer)[:2])
-    return npm if version >= _OLDEST_NODE else None
+    return npm if (20, 19) <= version < (21,) or version >= (22, 12) else None
 
 
 def build_page() -> Path:
@@ -137,13 +143,17 @@ def build_page() -> Path:
     """
     npm = find_npm()
     if npm is None:
-        oldest = ".".join(map(str, _OLDEST_NODE))
-        raise SystemExit(f"building the page needs Node {oldest} or newer with npm; none was found")
+        raise SystemExit(f"building the page needs Node {_NODE}, with npm; none was found")
     (WEB / "src" / "data.json").write_text(json.dumps(export_data()), encoding="utf-8")
     installed, lock = WEB / "node_modules" / ".package-lock.json", WEB / "package-lock.json"
     if not installed.exists() or installed.stat().st_mtime < lock.stat().st_mtime:
         _run(npm, "ci", "--no-audit", "--no-fund")
     _run(npm, "run", "--silent", "build")
+    licences = WEB / "dist" / "licences.md"  # of the packages that Vite has bundled
+    (notice,) = [f for f in files("mujoco") or () if f.parts[-2:] == ("licenses", "LICENSE")]
+    mujoco_text = Path(str(notice.locate())).read_text("utf-8")
+    text = licences.read_text("utf-8")
+    licences.write_text(f"{text.rstrip()}\n\n## @mujoco/mujoco\n\n{mujoco_text}", encoding="utf-8")
     return WEB / "dist"
 
 

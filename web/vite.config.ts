@@ -8,7 +8,7 @@ const rolldownOptions = {
 export default defineConfig({
   base: "./", // the page works in any folder of a server
   logLevel: "warn",
-  build: { target: "es2022", chunkSizeWarningLimit: 1500, reportCompressedSize: false, rolldownOptions },
+  build: { target: "es2022", chunkSizeWarningLimit: 1500, reportCompressedSize: false, license: { fileName: "licences.md" }, rolldownOptions },
   worker: { format: "es", rolldownOptions },
   optimizeDeps: { exclude: ["@mujoco/mujoco"] },
 });

@@ -63,17 +63,21 @@ def fields_of(robot: Robot, timing: Timing = "on-off") -> list[Field]:
         robot: the robot.
         timing: "on-off" for on and off times, or "phase" for delays and duties.
     """
-    friction = robot.physics.friction
-    lower, upper = min(_FRICTION_BOUNDS[0], friction), max(_FRICTION_BOUNDS[1], friction)
     kind: GenomeKind = "full" if robot.kind == "springs" else "shared"
     genes = Encoding(robot.physics, robot.timings.period_s, kind, timing).genes
     folders = ["body"]
     if isinstance(robot.morphology, tuple):
         folders = [f"segment {i + 1}" for i in range(len(robot.morphology))]
-    rows = [("", Gene("friction", "", "", lower, upper, "friction"))]
+    rows = [("", Gene("friction", "", "", *_FRICTION_BOUNDS, "friction"))]
     rows += [(folder, gene) for folder in folders for gene in genes[: len(PARAMETERS)]]
     rows += [("gait", gene) for gene in genes[len(PARAMETERS) :]]
-    return [Field(index, folder, gene, timing) for index, (folder, gene) in enumerate(rows)]
+    fields = []
+    for index, value in enumerate(read_values(robot, timing).tolist()):
+        folder, gene = rows[index]
+        # A robot may be outside the bounds, with a duty of 100 % for example.
+        gene = gene._replace(lower=min(gene.lower, value), upper=max(gene.upper, value))
+        fields.append(Field(index, folder, gene, timing))
+    return fields
 
 
 def read_values(robot: Robot, timing: Timing) -> Array:

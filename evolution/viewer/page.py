@@ -98,11 +98,12 @@ class Page:
 
     def _advance(self, elapsed_s: float) -> None:
         session = self.session
-        self._shown_s += self._speed.value * elapsed_s
-        while session.time_s < self._shown_s and not session.finished:
+        deadline_s = time.monotonic() + _LONGEST_FRAME_S
+        due_s = self._shown_s + self._speed.value * elapsed_s
+        while session.time_s < due_s and not session.finished and time.monotonic() < deadline_s:
             session.advance()
-        if session.finished and session.time_s <= self._shown_s:
-            self._shown_s = session.time_s
+        self._shown_s = min(due_s, session.time_s)  # a slow machine falls behind
+        if session.finished and self._shown_s == session.time_s:
             self._playing = False
 
     def _show(self) -> None:
@@ -143,7 +144,7 @@ class Page:
 
 def _legend(spring: SmaSpring) -> str:
     """Return HTML that explains the colours of the springs."""
-    points_c = np.array([spring.ambient_c, spring.austenite_start_c, spring.cut_off_c])
+    points_c = np.linspace(spring.ambient_c, spring.cut_off_c, 33)
     gradient = ", ".join(to_hex(rgb) for rgb in spring_rgb(spring, points_c))
     return (
         f'<p style="margin: 0.5em 1em; font-size: 0.85em">springs {points_c[0]:.0f} '

@@ -24,7 +24,7 @@ def build():
 def address(build):
     """Build the page, serve its files as any web server would, and return its address."""
     if build["find_npm"]() is None:
-        pytest.skip("needs Node 20.19 or newer with npm to build the page")
+        pytest.skip("needs a Node that Vite supports, with npm, to build the page")
     folder = build["build_page"]()
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(folder)))
     threading.Thread(target=server.serve_forever, daemon=True).start()

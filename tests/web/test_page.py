@@ -173,6 +173,46 @@ def test_damaged_link_holds_no_robot(page, link):
     assert page.evaluate("link => caterpillar.fromLink(link)", link) is None
 
 
+def test_page_says_that_a_link_is_incomplete(visit):
+    page = visit("#body=0.03,0.02")
+    assert page.inner_text("#notice") == "The link is incomplete, so the page shows another robot."
+    page.select_option("#winners", "3")
+    assert page.inner_text("#name") == page.evaluate("caterpillar.winners[3].name")
+    assert page.inner_text("#notice") == ""
+    page.close()
+
+
+def test_page_links_to_the_licences(page, address):
+    href = page.get_attribute("#about a", "href")
+    text = page.request.get(address + href).text()
+    assert "three.js authors" in text
+    assert "Apache License" in text
+
+
+def test_errors_are_shown(visit):
+    page = visit()
+    page.evaluate("dispatchEvent(new ErrorEvent('error', { message: 'out of memory' }))")
+    assert page.inner_text("#notice") == "out of memory"
+    page.close()
+
+
+def test_own_robot_can_be_shown_again(visit):
+    page = visit()
+    page.locator("#body input").first.focus()
+    page.keyboard.press("Home")
+    page.wait_for_function("document.querySelector('#name').textContent === 'Your robot'")
+    own = page.evaluate("location.hash")
+    page.select_option("#winners", "3")
+    page.select_option("#winners", "-1")
+    assert page.evaluate("location.hash") == own
+    page.close()
+
+
+def test_contacts_do_not_fill_the_memory(page):
+    before, after = page.evaluate("caterpillar.readLoads(20000)")
+    assert after == before
+
+
 def test_link_with_a_body_out_of_bounds_is_ignored(page):
     robot = page.evaluate("caterpillar.winners[0].robot")
     robot["body"][0] = 1.0

@@ -1,17 +1,18 @@
-import { budgetS, type Found } from "./search";
+import data from "./data.json";
+import type { Found } from "./search";
 
 const [left, right, top, bottom] = [34, 302, 8, 128];
-const labels = [0, 3000, 6000, 9000];
+const labels = [0, 1, 2, 3].map((third) => (third * data.search.budget_s) / 3);
 
 /** Draw the distance of each robot of a search and the best one so far, over the simulated time. */
 export function drawChart(svg: SVGElement, found: Found): void {
   const topMm = Math.max(100, Math.ceil((1000 * found.bestM) / 100) * 100);
-  const x = (timeS: number) => left + ((right - left) * timeS) / Math.max(budgetS, found.simulatedS);
+  const x = (timeS: number) => left + ((right - left) * timeS) / Math.max(data.search.budget_s, found.simulatedS);
   const y = (distanceM: number) => bottom - ((bottom - top) * 1000 * distanceM) / topMm;
   let bestM = 0;
   let path = `M${left} ${bottom}`;
   const robots = found.distancesM.map((distanceM, i) => {
-    const at = x(found.times[i]);
+    const at = x(found.timesS[i]);
     bestM = Math.max(bestM, distanceM);
     path += `H${at.toFixed(1)}V${y(bestM).toFixed(1)}`;
     return `<circle class="robot" cx="${at.toFixed(1)}" cy="${y(distanceM).toFixed(1)}" r="2"/>`;

@@ -1,4 +1,5 @@
-import { type Progress, simulate } from "./crawl";
+import { Crawl, type Progress, simulate } from "./crawl";
+import data from "./data.json";
 import { fromPhases, power, toPhases } from "./gait";
 import { judge } from "./judge";
 import { type MuJoCo, toXml } from "./model";
@@ -22,6 +23,17 @@ export function makeTools(mujoco: MuJoCo) {
     decode,
     version: (): string => mujoco.mj_versionString(),
 
+    /** Return the size of MuJoCo's memory before and after many readings of the loads, bytes. */
+    readLoads(count: number): [number, number] {
+      const crawl = new Crawl(mujoco, winners[0].robot);
+      for (let i = 0; i < 100; i++) crawl.step();
+      const before = crawl.data.qpos.buffer.byteLength; // of all memory
+      for (let i = 0; i < count; i++) crawl.contactLoadsN();
+      const after = crawl.data.qpos.buffer.byteLength;
+      crawl.delete();
+      return [before, after];
+    },
+
     /** Return the final progress of a robot. */
     crawl: (robot: Robot): Progress => simulate(mujoco, robot),
 
@@ -36,7 +48,7 @@ export function makeTools(mujoco: MuJoCo) {
 
     /** Return the best fitness of SHADE on a function of genomes after each generation. */
     maximize(fitness: (genome: number[]) => number, circular: boolean[], generations: number, seed: number): number[] {
-      const shade = new Shade(15, circular, seeded(seed));
+      const shade = new Shade(data.search.population, circular, seeded(seed));
       let best = -Infinity;
       return Array.from({ length: generations }, () => {
         const genomes = shade.ask();

@@ -90,14 +90,15 @@ export class Crawl {
   /** Vertical loads on the geoms that touch the ground in N, by their number. */
   contactLoadsN(): Map<number, number> {
     const loads = new Map<number, number>();
-    const contacts = this.data.contact; // a copy
-    const forces = this.data.efc_force;
+    const contacts = this.data.contact; // a copy, and so are its elements
     for (let i = 0; i < this.data.ncon; i++) {
       const contact = contacts.get(i);
-      if (contact && contact.efc_address >= 0) {
-        const [, geom] = contact.geom; // the ground comes first
-        loads.set(geom, (loads.get(geom) ?? 0) + forces[contact.efc_address]);
-      }
+      if (!contact) continue;
+      const [, geom] = contact.geom; // the ground comes first
+      const address = contact.efc_address;
+      contact.delete();
+      // `efc_force` is a view that is lost when the memory grows, so it is read each time.
+      if (address >= 0) loads.set(geom, (loads.get(geom) ?? 0) + this.data.efc_force[address]);
     }
     contacts.delete();
     return loads;
@@ -143,7 +144,9 @@ export class Crawl {
     const warnings = this.data.warning; // part of the data, so it must not be deleted
     let warned = false;
     for (let i = 0; i < warnings.size(); i++) {
-      warned ||= (warnings.get(i)?.number ?? 0) > 0;
+      const warning = warnings.get(i); // a copy
+      warned ||= (warning?.number ?? 0) > 0;
+      warning?.delete();
     }
     return warned || ![...this.data.qpos, ...this.data.qvel].every(Number.isFinite);
   }

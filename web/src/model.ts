@@ -1,6 +1,7 @@
 import load, { type MainModule, type MjModel } from "@mujoco/mujoco";
 import wasm from "@mujoco/mujoco/mujoco.wasm?url";
 import data from "./data.json";
+import { parameterIndex } from "./robot";
 
 export type MuJoCo = MainModule;
 
@@ -12,7 +13,8 @@ export function loadMuJoCo(): Promise<MuJoCo> {
 /** Return the XML of a robot from its eight body parameters; see `caterpillar_env.model` in Python. */
 export function toXml(body: number[]): string {
   const { pieces, slots, coefficients } = data.model;
-  const terms = [1, ...body, body[4] ** -2]; // the last one is for the stiffness, 1 / q^2
+  const limitRad = body[parameterIndex("joint_limit_rad")];
+  const terms = [1, ...body, limitRad ** -2]; // the last one is for the stiffness, 1 / q^2
   const values = coefficients.map((row) => row.reduce((sum, factor, i) => sum + factor * terms[i], 0));
   return slots.reduce((xml, slot, i) => {
     const isStretch = xml.endsWith('springref="'); // of the axial joints, 0 if the springs are slack

@@ -17,7 +17,9 @@ function addSlider(
   row.className = "slider";
   const output = document.createElement("output");
   const input = document.createElement("input");
-  Object.assign(input, { type: "range", min: lower * factor, max: upper * factor, step });
+  const [min, max] = [lower, upper].map((bound) => (bound * factor).toFixed(1));
+  Object.assign(input, { type: "range", min, max, step });
+  output.ariaLive = "off"; // the slider itself is announced
   const write = (shown: number) => {
     output.textContent = `${shown.toFixed(step < 1 ? 1 : 0)} ${unit}`;
     input.setAttribute("aria-valuetext", output.textContent);
@@ -46,7 +48,7 @@ export class Panel {
   constructor(find: (id: string) => Element, private readonly onChange: (robot: Robot) => void) {
     const share = { lower: 0, factor: 100, unit: "%", step: 1 };
     this.body = data.parameters.map(({ description, symbol, lower, upper, factor, shown }, i) => {
-      const options = { label: `${description} (${symbol})`, lower, upper, factor, unit: shown, step: shown === "°" ? 1 : 0.1 };
+      const options = { label: `${description} (${symbol})`, lower, upper, factor, unit: shown, step: 0.1 };
       return addSlider(find("body"), options, (value) => {
         this.robot = { ...this.robot, body: this.robot.body.with(i, value) };
         this.onChange(this.robot);

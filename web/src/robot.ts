@@ -7,6 +7,11 @@ export interface Robot {
   offS: number[];
 }
 
+/** Return the place of a parameter in `body`. */
+export function parameterIndex(name: string): number {
+  return data.parameters.findIndex((parameter) => parameter.name === name);
+}
+
 /** The winners of the published study, longest distance first. */
 export const winners = data.winners
   .map((winner) => ({

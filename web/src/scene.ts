@@ -33,7 +33,8 @@ export class Scene {
     this.renderer.shadowMap.enabled = true;
     this.camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.camera, canvas);
-    Object.assign(this.controls, { minDistance: 0.06, maxDistance: 1.5, maxPolarAngle: 1.54, enablePan: false });
+    Object.assign(this.controls, { minDistance: 0.06, maxDistance: 1.5, maxPolarAngle: 1.54, enablePan: false, keyRotateSpeed: 20 });
+    this.controls.listenToKeyEvents(canvas); // arrow keys with Shift
     this.controls.addEventListener("change", () => (this.isStale = true));
     this.light.castShadow = true;
     this.light.shadow.mapSize.setScalar(1024);

@@ -5,14 +5,11 @@ import type { Robot } from "./robot";
 import { circularGenes, seeded, Shade } from "./shade";
 import type { Answer } from "./worker";
 
-export const populationSize = 15;
-export const budgetS = 9000; // as in the published study
-
 /** What a search has found so far. */
 export interface Found {
   simulatedS: number;
-  distancesM: number[]; // of all robots in order, 0 for those that failed
-  times: number[]; // simulated time at the end of each robot, s
+  distancesM: number[]; // of all robots, in order of completion, 0 for those that failed
+  timesS: number[]; // simulated seconds of the search at the end of each robot
   best: Robot | null;
   bestM: number;
 }
@@ -60,26 +57,26 @@ class Pool {
 
 /**
  * Search for the body and the wave that crawl farthest, until the budget is spent or `signal` aborts.
- * The result depends on the seed only, not on the number of workers.
+ * The robots depend on the seed only, not on the number of workers; the order of completion does.
  */
 export async function search(seed: number, signal: AbortSignal, onFound: (found: Found) => void): Promise<void> {
   const pool = new Pool(Math.min(Math.max((navigator.hardwareConcurrency || 2) - 1, 1), 4));
   const stopped = new Promise<"stopped">((resolve) => signal.addEventListener("abort", () => resolve("stopped")));
-  const found: Found = { simulatedS: 0, distancesM: [], times: [], best: null, bestM: 0 };
-  const shade = new Shade(populationSize, circularGenes, seeded(seed));
+  const found: Found = { simulatedS: 0, distancesM: [], timesS: [], best: null, bestM: 0 };
+  const shade = new Shade(data.search.population, circularGenes, seeded(seed));
   const evaluate = async (genome: number[]): Promise<number> => {
     const robot = decode(genome);
     const { distanceM, failure, timeS } = await pool.simulate(robot);
     const fitness = failure === "ok" ? Math.max(distanceM, 0) : 0;
     found.simulatedS += timeS;
-    found.times.push(found.simulatedS);
+    found.timesS.push(found.simulatedS);
     found.distancesM.push(fitness);
     if (fitness > found.bestM) [found.best, found.bestM] = [robot, fitness];
     if (!signal.aborted) onFound(found);
     return fitness;
   };
   try {
-    while (found.simulatedS < budgetS) {
+    while (found.simulatedS < data.search.budget_s) {
       const genomes = shade.ask();
       const fitness = await Promise.race([stopped, Promise.all(genomes.map(evaluate))]);
       if (fitness === "stopped") return;

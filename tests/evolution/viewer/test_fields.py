@@ -21,6 +21,7 @@ ROBOTS = {
     "segments": replace(wave_robot(), morphology=(Morphology(),) * 4),
     "slippery": replace(wave_robot(), physics=Physics(friction=0.0)),
     "sticky": replace(wave_robot(), physics=Physics(friction=2.3456)),
+    "hot": replace(wave_robot(), timings=GaitTimings(5.0, np.zeros(6), np.full(6, 4.99))),
 }
 
 
