@@ -53,11 +53,8 @@ def test_spaces_follow_from_the_number_of_segments(segments):
     assert switch.action_space == gymnasium.spaces.MultiBinary(4 * gaps)
     assert pairs.observation_space.shape == (senses,)
     assert switch.observation_space.shape == (senses + 2,)  # the phase
-
-
-def test_documented_sizes_for_four_segments():
-    assert CaterpillarEnv().observation_space.shape == (66,)
-    assert CaterpillarEnv(action_mode="switch").observation_space.shape == (68,)
+    if segments == 4:  # as in the documentation
+        assert senses == 66
 
 
 def test_first_observation_describes_the_start():

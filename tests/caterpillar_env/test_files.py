@@ -43,7 +43,7 @@ def test_write_errors_give_advice_and_caterpillar_errors_pass_through(tmp_path):
     path = tmp_path / "none" / "x"
     with pytest.raises(CaterpillarError, match="directory; choose another place"), writing(path):
         path.write_text("")
-    with pytest.raises(CaterpillarError), writing(tmp_path):
+    with pytest.raises(CaterpillarError, match=r"^mine$"), writing(tmp_path):
         raise CaterpillarError("mine")
 
 

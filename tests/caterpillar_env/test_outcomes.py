@@ -92,13 +92,6 @@ def test_function_gets_the_trace_of_every_control_interval():
     assert [trace.energy_j.shape[1] for trace in traces] == [10] * 15
 
 
-def test_trace_holds_every_thermal_step():
-    traces = []
-    simulate(*some(1), SHORT, threads=1, duration_s=0.5, on_interval=traces.append)
-    assert sum(trace.temperature_c.shape[1] for trace in traces) == 50
-    assert {trace.temperature_c.shape[2] for trace in traces} == {4}
-
-
 def test_diverged_robot_stops_at_once_with_finite_fitness(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo logs its warning in the working directory
     result = simulate(*some(2), BROKEN, threads=1)

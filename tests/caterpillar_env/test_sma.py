@@ -198,21 +198,6 @@ def test_branches_are_half_cosines(branch, ends_c):
     np.testing.assert_allclose(branch(NITI, at), [0, 0, 0.25, 0.5, 1, 1], atol=1e-12)
 
 
-def test_branch_midpoints_are_half_austenite_when_driven_there():
-    spring = SmaSpring(convection_w_m2_k=1e-9)
-    pulse_s = MASS_KG_M * (500 * (73 - 25) + 24_200 / 2) / (0.35**2 * OHM_M)
-    middle = powered(spring, 1, pulse_s, step_s=pulse_s / 200).state
-    assert temperature(spring, middle) == pytest.approx(73, abs=1e-3)
-    assert middle.fraction[0] == pytest.approx(0.5, abs=1e-4)
-
-    cooling = powered(NITI, 0, 6.0, SmaState.at(NITI, np.array([90.0]), np.ones(1)), step_s=0.001)
-    crossing = np.argmin(np.abs(cooling.path.fraction[:, 0] - 0.5))
-    state = powered(
-        NITI, 0, crossing * 0.001, SmaState.at(NITI, np.array([90.0]), np.ones(1)), 0.001
-    ).state
-    assert temperature(NITI, state) == pytest.approx(61, abs=0.02)
-
-
 def half_transformed():
     """Return a spring heated to between As and Af, on the heating branch."""
     state = SmaState.cold(NITI, (1,))
@@ -244,19 +229,6 @@ def test_reversal_on_cooling_freezes_the_fraction():
     assert (heated.path.fraction == start.fraction[0]).all()
 
 
-def test_minor_loop_returns_to_its_starting_point():
-    """Return-point memory: after a minor loop, the state continues as without the loop."""
-    start = half_transformed()
-    state = powered(NITI, 0, 0.8, start).state
-    assert state.fraction[0] < start.fraction[0] - 0.05  # a detour along the cooling branch
-    while state.fraction[0] <= start.fraction[0]:
-        state = powered(NITI, 1, 0.001, state, step_s=0.001).state
-    np.testing.assert_allclose(state.temperature_c(NITI), start.temperature_c(NITI), atol=0.05)
-    np.testing.assert_allclose(
-        state.fraction, heating_branch(NITI, state.temperature_c(NITI)), atol=1e-4
-    )
-
-
 def test_state_at_a_temperature_is_clipped_to_the_loop():
     at = np.array([60.0, 61.0, 67.0, 73.0, 90.0])
     state = SmaState.at(NITI, at, np.array([0.0, 1.0, 0.3, 0.0, 0.0]))
@@ -276,17 +248,6 @@ def test_force_of_pure_phases_and_their_mixture():
 def test_spring_neither_pushes_nor_exceeds_its_limit():
     lengths, fraction = np.array([0.010, 0.016, 0.060]), np.ones(3)
     np.testing.assert_allclose(spring_force(NITI, lengths, fraction), [0, 0, 0.85])
-
-
-def test_stroke_under_a_load():
-    spring = SmaSpring(
-        austenite_rest_length_m=0.015, martensite_rest_length_m=0.017, martensite_stiffness_n_m=10.0
-    )
-    load_n = 0.2
-    cold_m, hot_m = 0.017 + load_n / 10, 0.015 + load_n / 35
-    assert cold_m - hot_m == pytest.approx(load_n * (1 / 10 - 1 / 35) + (0.017 - 0.015))
-    force = spring_force(spring, np.array([cold_m, hot_m]), np.array([0.0, 1.0]))
-    np.testing.assert_allclose(force, load_n)
 
 
 # Errors

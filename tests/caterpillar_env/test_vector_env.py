@@ -295,14 +295,6 @@ def test_returned_arrays_are_not_modified_later():
         np.testing.assert_array_equal(array, copy)
 
 
-def test_number_of_threads_does_not_change_results():
-    results = []
-    for threads in (1, 2):
-        envs = switch_envs(morphology=BODIES, threads=threads)
-        results.append([envs.step(some_actions(envs, seed))[0] for seed in (1, 2)])
-    np.testing.assert_array_equal(results[0], results[1])
-
-
 # Errors
 
 

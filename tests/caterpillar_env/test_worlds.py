@@ -155,6 +155,12 @@ def test_failures_refer_to_the_local_ground():
     assert crawl.failure.tolist() == [Failure.NONE, Failure.JUMPED]
 
 
+def test_slope_across_is_uphill_on_the_left():
+    across = Physics(world=Slope(angle_deg=30.0, direction="across"))
+    gravity = build_model(Morphology(), across).opt.gravity
+    np.testing.assert_allclose(gravity, [0, -9.81 / 2, -9.81 * np.sqrt(0.75)], atol=1e-12)
+
+
 def test_slopes_tilt_gravity_and_cameras():
     down = Physics(world=Slope(angle_deg=30.0, direction="down"))
     model = build_model(Morphology(), down)

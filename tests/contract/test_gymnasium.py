@@ -12,7 +12,6 @@ from gymnasium.utils.env_checker import check_env
 
 import caterpillar_env
 from caterpillar_env import Failure, Morphology
-from caterpillar_env.errors import CaterpillarError
 
 IDS = ["CaterpillarSMA-v0", "CaterpillarSMASwitch-v0"]
 SMALL = Morphology(segment_length_m=0.024, segment_radius_m=0.010)
@@ -144,25 +143,6 @@ def test_step_does_not_modify_the_action(env_id):
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_unknown_option_is_an_error_that_names_the_known_ones(env_id):
-    with pytest.raises(CaterpillarError, match=r"morphology.*morfology"):
-        made(env_id).reset(options={"morfology": SMALL})
-    with pytest.raises(CaterpillarError, match=r"morphology, reset_mask.*morfology"):
-        gymnasium.make_vec(env_id, 2).reset(options={"morfology": SMALL})
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_body_stays_through_resets(env_id):
-    env = made(env_id)
-    start, _ = env.reset(seed=0)
-    small, _ = env.reset(seed=0, options={"morphology": SMALL})
-    assert (small != start).any()
-    np.testing.assert_array_equal(env.reset(seed=0)[0], small)
-    np.testing.assert_array_equal(env.reset(seed=0, options={})[0], small)
-    np.testing.assert_array_equal(made(env_id, morphology=SMALL.to_dict()).reset(seed=0)[0], small)
-
-
-@pytest.mark.parametrize("env_id", IDS)
 def test_body_stays_through_the_autoreset_of_a_wrapper(env_id):
     env = gymnasium.wrappers.Autoreset(made(env_id, episode_s=1.0))
     small, _ = env.reset(seed=0, options={"morphology": SMALL})
@@ -201,29 +181,3 @@ def test_no_entry_of_an_observation_is_constant(env_id):
     assert np.abs(values).max() < 100  # healthy robots stay far from the space's bounds
     constant = [n for n, spread in zip(names, np.ptp(values, axis=0), strict=True) if spread < 1e-4]
     assert constant == []
-
-
-@pytest.mark.parametrize("env_id", IDS)
-@pytest.mark.parametrize("segments", [2, 4, 5])
-def test_every_entry_of_an_observation_has_a_name(env_id, segments):
-    env = made(env_id, physics={"num_segments": segments}).unwrapped
-    assert len(env.observation_names) == env.observation_space.shape[0] == env.reset()[0].shape[0]
-
-
-def test_environments_do_not_define_compute_reward():
-    for name in ("CaterpillarEnv", "CaterpillarVectorEnv"):
-        assert not hasattr(getattr(caterpillar_env, name), "compute_reward")
-
-
-def test_public_names_can_be_imported():
-    for name in set(caterpillar_env.__all__) - {"PARAMETERS"}:
-        assert getattr(caterpillar_env, name).__name__ == name
-    assert caterpillar_env.PARAMETERS[0].name == "leg_separation_m"
-    with pytest.raises(AttributeError, match="no attribute 'Caterpillar'"):
-        caterpillar_env.Caterpillar  # noqa: B018
-
-
-def test_registering_does_not_load_the_simulator():
-    code = "import sys, caterpillar_env; print(sys.modules.keys() & {'mujoco', 'numba'})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stdout.strip() == "set()", done.stderr

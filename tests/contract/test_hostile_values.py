@@ -87,7 +87,8 @@ SETTINGS = [
 def test_settings(kind, name):
     for value in HOSTILE.values():
         attempt(from_mapping, kind, {name: value}, "it")
-        attempt(RunConfig.from_dict, {name: value})
+        if kind is RunConfig:
+            attempt(RunConfig.from_dict, {name: value})
 
 
 def test_training_runs():

@@ -129,12 +129,6 @@ def test_decoding_does_not_modify_the_genomes():
     assert np.all(genomes == 0.3)
 
 
-def test_unit_values_of_the_nominal_body_decode_to_it():
-    genome = np.concatenate([Morphology().to_unit(), np.zeros(12)])
-    bodies, _ = Encoding(Physics(), PERIOD_S).decode(genome[None])
-    np.testing.assert_allclose(bodies[0].to_array(), Morphology().to_array(), rtol=1e-12)
-
-
 @pytest.mark.parametrize("shape", [(19,), (2, 19), (2, 21), (1, 2, 20), ()])
 def test_error_for_a_wrong_shape_names_both_shapes(shape):
     with pytest.raises(CaterpillarError, match=r"shape \(20,\) or \(P, 20\); got \("):

@@ -9,13 +9,6 @@ from caterpillar_env.sma import spring_force
 from caterpillar_env.validation import conservation
 
 
-def test_robots_drift_less_at_a_finer_timestep():
-    coarse, fine = (
-        conservation.drift_m(Physics(timestep_s=timestep_s), 3, 5.0) for timestep_s in (0.005, 0.001)
-    )
-    assert np.median(fine) < np.median(coarse)
-
-
 @pytest.mark.parametrize(
     ("energy_j", "share"),
     [([4.0, 3.0, 2.0, 0.0], 0.0), ([4.0, 1.0, 2.0, 0.0], 0.25), ([4.0, 3.0, 5.0, 0.0], 0.5)],

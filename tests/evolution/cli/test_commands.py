@@ -5,8 +5,8 @@ import io
 import json
 import re
 import shutil
-import sqlite3
 import time
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
@@ -20,8 +20,8 @@ from evolution.config import RunConfig
 from evolution.optimizers.ga import GaConfig
 from evolution.run.evaluators import LocalEvaluator
 from evolution.run.history import Generation, load
-from evolution.run.journal import FILE
 from evolution.run.loop import evolve
+from evolution.study.config import preset
 
 CONFIG = RunConfig(
     seed=4, generations=1, physics=Physics(num_segments=2, timestep_s=0.01, friction=0.7),
@@ -74,8 +74,11 @@ def test_paper_preset_has_the_default_configuration():
     assert PRESETS["paper"].evaluations() == 9_510
 
 
-def test_quick_preset_is_small():
-    assert PRESETS["quick"].evaluations() < 200
+def test_quick_preset_has_the_search_method_of_the_published_study():
+    quick, study = PRESETS["quick"], preset("search").arms["shade"].config
+    assert quick.evaluations() < 200
+    budget = {"generations": quick.generations, "budget_s": quick.budget_s}
+    assert replace(study, ga=quick.ga, **budget) == quick
 
 
 @pytest.mark.parametrize(
@@ -228,16 +231,7 @@ def test_video_is_written_unless_it_already_shows_the_best_robot(run, monkeypatc
 def test_resume_can_make_a_run_longer(run, elsewhere, capsys, without_page):
     shutil.copytree(run[0], "short")
     assert cli.main(["resume", "short", "--generations", "2", "--no-video"]) == 0
-    assert cli.main([*FLAGS, "--seed", "4", "--generations", "2", "--out", "long"]) == 0
-    assert (
-        load(elsewhere / "short")
-        .table()
-        .drop("session")
-        .equals(load(elsewhere / "long").table().drop("session"))
-    )
-    assert (elsewhere / "short" / "best.json").read_bytes() == (
-        elsewhere / "long" / "best.json"
-    ).read_bytes()
+    assert len(load("short").generations) == 2
 
 
 def test_resume_does_not_repeat_a_finished_run(run, tmp_path, capsys):
@@ -255,14 +249,6 @@ def test_resume_writes_a_lost_best_robot_again(run, tmp_path, without_page):
     (tmp_path / "run" / "best.json").unlink()
     assert cli.main(["resume", str(tmp_path / "run"), "--no-video"]) == 0
     assert (tmp_path / "run" / "best.json").read_bytes() == (run[0] / "best.json").read_bytes()
-
-
-def test_resume_refuses_a_damaged_journal(run, tmp_path, capsys):
-    shutil.copytree(run[0], tmp_path / "run")
-    with contextlib.closing(sqlite3.connect(tmp_path / "run" / FILE)) as db, db:
-        db.execute("UPDATE evaluations SET distance_m = 1.0 WHERE evaluation = 2")
-    assert cli.main(["resume", str(tmp_path / "run"), "--no-video"]) == 1
-    assert "row 2 of the table evaluations was altered" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

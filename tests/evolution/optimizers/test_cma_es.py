@@ -62,16 +62,6 @@ def test_unusable_settings_are_refused(settings):
         CmaConfig(**settings)
 
 
-def test_tell_rejects_other_genomes_and_non_finite_fitness():
-    optimizer = started()
-    genomes = optimizer.ask()
-    assert np.array_equal(optimizer.ask(), genomes)  # ask repeats its genomes until tell
-    with pytest.raises(CaterpillarError, match="exactly the genomes"):
-        optimizer.tell(genomes[::-1], np.zeros(len(genomes)))
-    with pytest.raises(CaterpillarError, match="finite"):
-        optimizer.tell(genomes, np.full(len(genomes), np.nan))
-
-
 def test_circular_genes_wrap_around():
     # From the start at 0.1, the way to the optimum at 0.95 is shorter if it wraps around.
     genes = [WrappedGaussian.with_floor(0.1), ClippedGaussian.with_floor(0.5)]

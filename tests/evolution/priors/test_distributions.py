@@ -56,12 +56,6 @@ def test_density_equals_that_of_a_truncated_normal(gaussian):
     np.testing.assert_allclose(gaussian.density(x), reference(gaussian).pdf(x), rtol=1e-9)
 
 
-@pytest.mark.parametrize("gaussian", SHAPES, ids=str)
-def test_samples_follow_the_distribution_function(gaussian):
-    draws = gaussian.sample(np.random.default_rng(7), 20_000)
-    assert stats.kstest(draws, reference(gaussian).cdf).pvalue > 0.01
-
-
 def test_uniform_samples_follow_the_uniform_distribution():
     draws = Uniform().sample(np.random.default_rng(7), 20_000)
     assert stats.kstest(draws, "uniform").pvalue > 0.01
@@ -71,6 +65,12 @@ def test_no_mass_piles_up_on_the_bounds():
     # Clamping instead of truncating would put half of the draws on the bound itself.
     draws = ClippedGaussian.with_floor(1.0).sample(np.random.default_rng(0), 10_000)
     assert not np.any((draws == 0.0) | (draws == 1.0))
+
+
+def test_clamped_gaussian_puts_the_rest_of_its_mass_on_the_bounds():
+    draws = ClippedGaussian(0.9, 0.2, "clamped").sample(np.random.default_rng(0), 20_000)
+    assert np.mean(draws == 1.0) == pytest.approx(stats.norm.sf(0.5), abs=0.01)
+    assert np.all((draws >= 0.0) & (draws <= 1.0))
 
 
 @settings(deadline=None)
@@ -83,14 +83,6 @@ def test_samples_lie_in_the_unit_interval(mu, sigma, seed):
     draws = ClippedGaussian(mu, sigma).sample(np.random.default_rng(seed), 50)
     assert draws.shape == (50,)
     assert np.all((draws >= 0) & (draws <= 1))
-
-
-@pytest.mark.parametrize("distribution", [Uniform(), *SHAPES[:3]], ids=str)
-def test_same_generator_state_gives_the_same_draws(distribution):
-    one = distribution.sample(np.random.default_rng(3), 10)
-    two = distribution.sample(np.random.default_rng(3), 10)
-    other = distribution.sample(np.random.default_rng(4), 10)
-    assert one.tolist() == two.tolist() != other.tolist()
 
 
 @pytest.mark.parametrize("distribution", [Uniform(), *SHAPES], ids=str)

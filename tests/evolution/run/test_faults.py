@@ -11,7 +11,6 @@ import time
 from functools import cache
 
 import numpy as np
-import polars
 import pytest
 
 from evolution.run.history import load
@@ -108,33 +107,6 @@ def test_run_killed_at_random_times_equals_an_uninterrupted_run(uninterrupted, t
     # Only the genomes in flight at each kill are evaluated twice.
     assert evaluated(broken) <= evaluated(whole) + LOST[kind] * KILLS
     assert not list(broken.glob(".*.partial"))
-
-
-@pytest.mark.slow
-def test_killed_run_ends_at_its_target_and_stays_finished(uninterrupted, tmp_path):
-    optimizer = "ga"
-    whole, broken = uninterrupted(optimizer), tmp_path / "broken"
-    generations = load(whole).generations
-    target_m = generations[4].farthest_m
-    number = next(g.number for g in generations if g.farthest_m >= target_m)
-    assert number == 4, "the kills must come before the target is reached"
-    rng = np.random.default_rng(1)
-    for _ in range(KILLS):
-        worker = process(broken, optimizer, target_m)
-        begun = evaluated(broken) + 4 * int(rng.integers(1, 4))
-        while evaluated(broken) < begun and worker.poll() is None:
-            time.sleep(0.005)
-        time.sleep(float(rng.uniform(0.0, 0.15)))
-        worker.kill()  # unless it has already reached its target
-        assert worker.wait() in (0, -signal.SIGKILL)
-    assert process(broken, optimizer, target_m).wait() == 0
-    assert load(broken).table()["session"].n_unique() > 1
-    expected = load(whole).table().filter(polars.col("generation") <= number)
-    assert load(broken).table().drop("session").equals(expected.drop("session"))
-    assert load(broken).finished
-    before = evaluated(broken)
-    assert process(broken, optimizer, target_m).wait() == 0
-    assert evaluated(broken) == before
 
 
 #: A shell's background jobs ignore Ctrl-C, and so would the processes that this test starts.

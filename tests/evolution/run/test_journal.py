@@ -109,15 +109,6 @@ def test_a_file_that_is_not_a_journal_is_refused(tmp_path):
         Journal.create(tmp_path, CONFIGURATION)
 
 
-def test_truncated_file_is_refused(tmp_path):
-    written(tmp_path, parts=(400, 400))
-    path = tmp_path / FILE
-    with path.open("r+b") as file:
-        file.truncate(path.stat().st_size * 2 // 3)
-    with pytest.raises(JournalError, match="is damaged: "):
-        Journal(tmp_path)
-
-
 @pytest.mark.parametrize("seed", range(8))
 def test_flipped_bits_in_rows_are_detected(tmp_path, seed):
     genomes, results = written(tmp_path, parts=(200,))
@@ -135,22 +126,6 @@ def test_flipped_bits_in_rows_are_detected(tmp_path, seed):
         Journal(tmp_path) as journal,
     ):
         list(journal.evaluations())
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_damage_anywhere_is_detected_or_harmless(tmp_path, seed):
-    genomes, _ = written(tmp_path, parts=(200,))
-    path = tmp_path / FILE
-    content = bytearray(path.read_bytes())
-    place = int(np.random.default_rng(seed).integers(0, len(content)))
-    content[place] ^= 0xFF
-    path.write_bytes(content)
-    try:
-        with Journal(tmp_path) as journal:
-            rows = list(journal.evaluations())
-    except JournalError:
-        return
-    assert np.array_equal([e.genome for e in rows], genomes)
 
 
 def test_file_without_its_beginning_is_refused(tmp_path):
@@ -340,7 +315,7 @@ def test_damage_to_any_page_is_detected_or_harmless(tmp_path, damage):
             altered[place] ^= 1 << int(rng.integers(0, 8))
             (tmp_path / FILE).write_bytes(altered if damage == "flip" else content[:place])
             try:
-                with Journal(tmp_path, read_only=True) as journal:
+                with Journal(tmp_path, read_only=bool(place % 2)) as journal:
                     found = journal.configuration, journal.sessions, journal.generations()
                     rows = list(journal.evaluations())
             except JournalError:

@@ -10,7 +10,7 @@ import polars
 import pytest
 
 from caterpillar_env.physics import Physics
-from caterpillar_env.robot import Outcomes, Robot, simulate
+from caterpillar_env.robot import Outcomes, Robot, simulate, wave_robot
 from caterpillar_env.task import Failure
 from caterpillar_env.validation.gaits import measure_gait
 from caterpillar_env.validation.robots import random_robots
@@ -20,7 +20,7 @@ from evolution.study import winners
 from evolution.study.analysis import analyse
 from evolution.study.config import Cell, StudyConfig, begin
 from evolution.study.results import Results, Run, collect
-from evolution.study.winners import Comparison, Crawling, Winner, retest_winners
+from evolution.study.winners import CONDITIONS, Comparison, Crawling, Winner, retest_winners
 
 
 @pytest.mark.parametrize(
@@ -157,6 +157,11 @@ def test_best_robot_of_every_run_is_simulated_under_the_conditions(compare, tmp_
     assert saved.to_dict() == robots[1].to_dict()
     (winner,) = found.winners
     assert (winner.seed, winner.reference_m) == (2, ends[2].distance_m[0])
+
+
+def test_every_condition_is_a_change_of_the_physics():
+    for name, changes in CONDITIONS.items():
+        assert wave_robot().with_physics(**changes).physics != wave_robot().physics, name
 
 
 def test_failed_robots_are_counted_separately(compare, tmp_path, monkeypatch):

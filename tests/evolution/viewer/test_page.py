@@ -139,12 +139,6 @@ def test_a_new_body_restarts_the_robot_without_pausing_it(hand):
     hand.wait(lambda: hand.page.session.time_s > 0)
 
 
-@pytest.mark.parametrize(("value", "radius_m"), [(99.0, 0.015), (-5.0, 0.009)])
-def test_values_out_of_bounds_are_clipped(hand, value, radius_m):
-    hand.widgets["segment radius, mm"].value = value
-    hand.wait(lambda: hand.robot.morphology.segment_radius_m == radius_m)
-
-
 def test_closing_ends_the_thread_of_a_crawling_robot(client):
     before = set(threading.enumerate())
     page = Page(client, ROBOT, "on-off")
