@@ -34,7 +34,7 @@ def save(folder: Path, number: int, model: BaseAlgorithm, more: dict[str, Any]) 
         folder: folder of the training run.
         number: number of the evaluation.
         model: algorithm between two rollouts.
-        more: tensors, numbers and lists of these to store as well.
+        more: further values to store by name: tensors, numbers, or lists of these.
 
     Raises:
         CaterpillarError: the file cannot be written.

@@ -73,8 +73,9 @@ class Interface(VecEnvWrapper):
             expected, given = self._wave.action.shape, venv.action_space.shape
             if given != expected:
                 raise CaterpillarError(
-                    f"the prior's gait has actions of shape {expected}, but the robots take {given}: "
-                    "give mode and physics of the robots, and do not set symmetric = False"
+                    f"with prior = 'gait', actions have shape {expected}, but those of the robots have "
+                    f"shape {given}: give Interface the mode and the physics of the robots, and create "
+                    "the robots with symmetric = True"
                 )
         self._clock = [i for i, kind in enumerate(kinds) if kind == "phase"]
         self._observations = np.empty((0, len(names)), dtype=np.float32)

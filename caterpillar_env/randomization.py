@@ -110,7 +110,7 @@ _BOUNDS = {
 
 
 def apply_conditions(model: mujoco.MjModel, physics: Physics, conditions: Conditions) -> mujoco.MjModel:
-    """Return a copy of `model` with `conditions`. `ambient_c` affects only the springs."""
+    """Return a copy of `model` with `conditions`, except the temperature of the air."""
     changed = copy.copy(model)
     tiles = changed.geom_priority == TILE  # their friction is relative to that of the robot
     changed.geom_friction[tiles, 0] *= conditions.friction / (physics.friction or 1.0)

@@ -52,7 +52,7 @@ def check_momentum(*, quick: bool) -> list[Check]:
 
 
 def check_energy(*, quick: bool) -> list[Check]:
-    """Check that bent robots released without power lose energy monotonically.
+    """Check that bent robots released without power regain hardly any of the energy that they lose.
 
     On the ground, soft contacts store energy and return part of it.
     """

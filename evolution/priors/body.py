@@ -42,8 +42,9 @@ def lifting_moment(
     Saunders 2009, eqs 6-7: M_b = r_b,sp x F_s + r_b,cm x W. The segment extends L/2 ahead of b, its
     centre of mass is h_b = 2R above the ground, and it is pitched up by theta about b. The spring
     connects the anchor, x outboard and y above the centre, to the mirrored anchor on the neighbour,
-    which stays level. The spring is L + 2x long at theta = 0, where M_b = k (L + 2x - Delta)(y + h_b) -
-    m g L / 2. The mean is over pitch angles from 0 to the joint limit. All values are in SI units.
+    which stays level. At theta = 0 it is L + 2x long, and M_b = k (L + 2x - Delta)(y + h_b) - m g L / 2,
+    with the stiffness k and the rest length Delta of austenite. The mean is over pitch angles from 0 to
+    the joint limit. All values are in SI units.
     """
     height = 2 * radius_m
     total = np.zeros(np.broadcast_shapes(x.shape, y.shape, m.shape, length.shape))

@@ -130,9 +130,10 @@ def permutation_p(statistic: Callable[[Flags], float], first: int, total: int) -
 
 
 def mann_whitney(a: Array, b: Array) -> float:
-    """Return the p value of the Mann-Whitney test: exact without ties, else from permutations.
+    """Return the p value of the Mann-Whitney test, which is exact without ties.
 
-    Large groups with ties have the p value of the normal approximation.
+    With ties, it comes from permutations if both groups have at most ten runs, else from the normal
+    approximation.
     """
     method: Any = "exact"
     if len(np.unique(np.concatenate([a, b]))) < len(a) + len(b):

@@ -68,7 +68,7 @@ class Times(NamedTuple):
     #: Generations that define the threshold per generation of the median run, as in the paper; 0 if
     #: fewer than half of the runs reach it. None for a reference or a fixed threshold.
     acceleration: Estimate | None
-    running_time_s: Estimate  #: ERT within the budget of all arms
+    running_time_s: Estimate  #: expected running time (ERT) within the budget of all arms
     speed_up: Estimate | None  #: ratio of ERTs, reference to arm; None for a reference
     log_rank_p: float | None  #: against the reference, corrected over the arms (Holm)
 
@@ -189,7 +189,7 @@ def _accelerate(threshold: Threshold, runs: list[Run], reference: list[Run]) -> 
 def _running_time(
     threshold: Threshold, runs: list[Run], reference: list[Run], budget_s: float
 ) -> Estimate:
-    """Estimate the ERT to a threshold."""
+    """Estimate the expected running time (ERT) to a threshold."""
     level, find = threshold.find(reference), cache(partial(arrivals, runs, budget_s=budget_s))
 
     def running_time(rows: Rows, base: Rows | None = None) -> float:

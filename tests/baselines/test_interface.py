@@ -140,7 +140,7 @@ def test_invalid_settings_are_rejected(settings, message):
 @pytest.mark.parametrize("settings", [{"symmetric": False}, {"physics": {"num_segments": 3}}], ids=str)
 def test_robots_with_other_actions_are_rejected(settings):
     env = CaterpillarVecEnv("CaterpillarSMA-v0", 1, threads=1, **settings)
-    with pytest.raises(CaterpillarError, match=r"has actions of shape \(12,\), but the robots take"):
+    with pytest.raises(CaterpillarError, match=r"actions have shape \(12,\), but those of the robots"):
         Interface(env, mode="timing")
 
 

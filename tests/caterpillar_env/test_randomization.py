@@ -64,7 +64,7 @@ def test_original_model_is_not_changed():
         np.testing.assert_array_equal(getattr(model, name), value, err_msg=name)
 
 
-def test_springs_heat_more_slowly_in_colder_air():
+def test_springs_in_colder_air_start_colder_and_transform_later():
     simulation = Simulation([Morphology()] * 3, P, 1)
     met = [conditions(ambient_c=c) for c in (5.0, P.spring.ambient_c, 45.0)]
     simulation.reset(conditions=met)

@@ -83,7 +83,7 @@ def test_a_damaged_file_gives_the_same_robot_or_an_error(individual, tmp_path):
             assert Robot.load(file).to_dict() == individual.to_dict()
         except CaterpillarError:
             refused += 1
-    assert refused > 250  # the other changes affect only spaces
+    assert refused > 490  # the others change the name of the entry `digest`, so no digest is checked
     # A file without a digest may be edited.
     data = individual.to_dict() | {"fitness_m": 0.5}
     file.write_text(json.dumps(data))

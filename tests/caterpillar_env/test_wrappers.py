@@ -72,7 +72,7 @@ def test_given_frame_rate_sets_the_speed(tmp_path):
 
 
 @pytest.mark.parametrize("mode", ["rgb_array", "rgb_array_list"])
-def test_frames_equal_those_of_steps_of_one_interval(mode, tmp_path):
+def test_long_steps_give_the_same_frames_as_steps_of_one_interval(mode, tmp_path):
     """In switch mode with all springs on, Gymnasium's own frames are the reference."""
     long = RecordVideo(make("CaterpillarSMASwitch-v0", mode, action_repeat=STEP), tmp_path)
     short = RenderCollection(make("CaterpillarSMASwitch-v0"))

@@ -264,7 +264,7 @@ function writeFixed(version: string): void {
   find("evolve-hint").textContent =
     "Searches for the body and the wave that crawl farthest, with SHADE (a differential evolution, " +
     `${data.search.population} robots per generation) in Web Workers, for ${data.search.budget_s.toLocaleString("en")} ` +
-    "simulated seconds. It leaves out the preprocessor, the candidates and the racing of the published study.";
+    "simulated seconds. The first robots are drawn uniformly, and every robot is simulated to the end.";
   find("about").textContent =
     `This page runs MuJoCo ${version} as WebAssembly; the Python package runs MuJoCo ${data.mujoco}. Tests compare ` +
     "the two: robots that are not chaotic end within 0.001 mm of each other after 30 s. " +
