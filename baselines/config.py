@@ -52,7 +52,7 @@ class TrainConfig:
     design: Design = "fixed"  #: fixed: one body; uniform, body: CMA-ES evolves the body from this prior
     seed: int = 0  #: seed of the training run; for the forces of the springs, see --mismatch-seed
     budget_s: float = 30_000.0  #: simulated seconds of training and evaluation
-    evaluations: int = 20  #: number of evaluations of the policy, spread over the budget
+    evaluations: int = 20  #: approximate number of evaluations of the policy, between rollouts
     morphology: Morphology = field(default_factory=Morphology)  #: body for design fixed
     #: domain randomization during training: NAME LOW HIGH for each randomized quantity (friction,
     #: mismatch_std, spring_force, mass, ambient_c), sampled uniformly at every reset

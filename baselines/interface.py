@@ -64,6 +64,8 @@ class Interface(VecEnvWrapper):
         if unknown := set(observe or ()) - set(kinds):
             known = ", ".join(dict.fromkeys(kinds))
             raise CaterpillarError(f"observe has {', '.join(sorted(unknown))}; choose from {known}")
+        if observe is not None and not observe:
+            raise CaterpillarError("observe is empty: it needs one or more parts of the observation")
         self._kept = [i for i, kind in enumerate(kinds) if observe is None or kind in observe]
         self._mode, self._reach = mode, 2.0 * reach
         self._repeat_s = action_repeat * CONTROL_INTERVAL_S

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -60,11 +61,12 @@ def train(
     """
     robots = make_training_env(config, threads)
     _check_budget(config, robots)
-    model = make_model(config, robots)
-    make_folder(folder, "; to continue a training run, use `caterpillar rl resume`")
-    with Journal.create(folder, make_configuration(config)) as journal:
-        history = History(journal)
-        _run(_Recorder(config, robots, history, on_evaluation, on_progress), model)
+    with _one_thread():
+        model = make_model(config, robots)
+        make_folder(folder, "; to continue a training run, use `caterpillar rl resume`")
+        with Journal.create(folder, make_configuration(config)) as journal:
+            history = History(journal)
+            _run(_Recorder(config, robots, history, on_evaluation, on_progress), model)
     return Training(config, history)
 
 
@@ -96,7 +98,7 @@ def resume(
             f"{folder} was trained with other hyperparameters than those in baselines/hyperparams; use "
             "the version of this package that began it, or train again in another folder"
         )
-    with Journal(folder) as journal:
+    with _one_thread(), Journal(folder) as journal:
         history = History(journal)
         for _ in known.generations:
             history.complete(replayed=True)
@@ -106,11 +108,20 @@ def resume(
     return Training(config, history)
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let PyTorch use one thread, because its rounding depends on the number of threads."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
 def _run(recorder: _Recorder, model: BaseAlgorithm) -> None:
     """Train until the budget is spent or the user interrupts."""
     config, robots, history = recorder.config, recorder.robots, recorder.history
-    torch_threads = torch.get_num_threads()
-    torch.set_num_threads(1)
     try:
         history.begin(_PACKAGES)
         callbacks = [recorder, *map(_make_callback, hyperparameters(config).callback)]
@@ -128,7 +139,6 @@ def _run(recorder: _Recorder, model: BaseAlgorithm) -> None:
     except KeyboardInterrupt:
         pass
     finally:
-        torch.set_num_threads(torch_threads)
         robots.close()
 
 

@@ -20,7 +20,7 @@ _BOUNDS = {"springs": (1, 1000), "power": (0.0, 1.0), "time_s": (0.0, MAX_STEPS 
 class Faults:
     """Failures of springs in an episode. The springs and the time are sampled at each reset.
 
-    A spring without power stays in the body. It cools down and remains slack.
+    A spring without power stays in the body. It cools down and keeps its cold tension.
 
     Raises:
         CaterpillarError: a value has the wrong type or is out of range.

@@ -61,8 +61,8 @@ class FailureLimits(NamedTuple):
     direction of their mean forward axis.
     """
 
-    flipped_up: float = -0.5  #: FLIPPED if `up` is lower (tilted by more than 120 degrees)
-    tipped_up: float = 0.5  #: TIPPED if `up` is lower (tilted by more than 60 degrees)
+    flipped_up: float = -0.5  #: FLIPPED if `up` is lower (a straight robot rolled by 120 degrees)
+    tipped_up: float = 0.5  #: TIPPED if `up` is lower (a straight robot rolled by 60 degrees)
     jumped_clearance_m: float = 0.005  #: JUMPED if the lowest point is higher
     veered_heading_rad: float = np.pi / 4  #: VEERED if the heading error is larger
     veered_lateral_m: float = 0.12  #: VEERED if the lateral displacement is larger (a body length)

@@ -13,6 +13,7 @@ import numpy as np
 from caterpillar_env.errors import CaterpillarError, to_number
 from caterpillar_env.files import read, write_json
 from caterpillar_env.robot import AnyRobot, Robot, simulate, stack
+from caterpillar_env.sma import SmaSpring
 from caterpillar_env.task import Failure
 from caterpillar_env.validation.gaits import Gait, measure_gait
 from evolution.study.analysis import Analysis
@@ -31,6 +32,9 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "friction 1.2": {"friction": 1.2},
     "other springs (seed 1001)": {"mismatch_seed": 1001},
     "other springs (seed 1002)": {"mismatch_seed": 1002},
+    "coil shielding 0.5": {"spring": SmaSpring(coil_shielding=0.5)},
+    "Ms 62, Mf 52 degC": {"spring": SmaSpring(martensite_start_c=62.0, martensite_finish_c=52.0)},
+    "force limit 0.55 N": {"spring": SmaSpring(force_limit_n=0.55)},
 }
 
 _MEASURES = {

@@ -128,6 +128,7 @@ def test_hyperparameter_files_wrap_single_environments_like_rl_zoo3(path):
     ("settings", "message"),
     [
         ({"observe": ["mood"]}, "observe has mood; choose from position, velocity"),
+        ({"observe": []}, "observe is empty"),
         ({"reach": 0.6}, "reach = 0.6 must be"),
     ],
     ids=str,

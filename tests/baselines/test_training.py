@@ -270,6 +270,19 @@ def test_every_kind_of_training_can_be_resumed(tmp_path, monkeypatch, fields):
         assert_same_runs(tmp_path / "whole", folder)
 
 
+def test_first_weights_do_not_depend_on_the_number_of_threads(tmp_path):
+    digests, before = [], torch.get_num_threads()
+    for threads in (1, 3):
+        torch.set_num_threads(threads)
+        try:
+            train(config(), tmp_path / str(threads), on_evaluation=stop_after(1))
+            assert torch.get_num_threads() == threads
+        finally:
+            torch.set_num_threads(before)
+        digests.append(TrainedRobot.load(tmp_path / str(threads), "last").policy.digest)
+    assert digests[0] == digests[1]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("step", "number"),  # the best evaluation, and the last one
