@@ -344,7 +344,7 @@ def test_different_segments_keep_their_length_when_cold():
 
 @pytest.mark.parametrize("count", [0, 3, 5])
 def test_wrong_number_of_segments_is_rejected(count):
-    with pytest.raises(CaterpillarError, match=f"or a tuple of 4; got {count}"):
+    with pytest.raises(CaterpillarError, match=f"or a tuple of 4 morphologies; got {count}"):
         built((BODY,) * count)
 
 

@@ -205,9 +205,7 @@ def test_runs_of_every_kind_have_a_page(config, text, ran, tmp_path):
     assert page.count('<svg class="bar"') == len(config.encoding.genes)
 
 
-@pytest.mark.parametrize(
-    ("prior", "peaks"), [("uniform", 0), ("body", 6), ("preprocessed", 6), ("mutation-only", 6)]
-)
+@pytest.mark.parametrize(("prior", "peaks"), [("uniform", 0), ("body", 6)])
 def test_genes_show_the_prior_that_the_run_uses(folder, prior, peaks):
     history = load(folder)
     history.configuration["prior"] = prior
