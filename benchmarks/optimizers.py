@@ -77,7 +77,8 @@ def summarize(rows: polars.DataFrame, shade: polars.DataFrame) -> dict[str, Any]
     best_mm = rows["best_mm"].to_numpy()
     summary: dict[str, Any] = {"optimizer": rows["optimizer"][0], "runs": len(rows)}
     summary["median, mm"] = format_estimate(median(best_mm), "{:.0f}")
-    summary["A12 against shade"] = format_estimate(a12(best_mm, shade["best_mm"].to_numpy()))
+    against = a12(best_mm, shade["best_mm"].to_numpy()) if len(shade) else None
+    summary["A12 against shade"] = format_estimate(against)
     summary["range, mm"] = f"{best_mm.min():.0f} to {best_mm.max():.0f}"
     for threshold_m in THRESHOLDS_M:
         time_s = rows[name_of(threshold_m)].to_numpy()
@@ -113,11 +114,11 @@ def main() -> None:
             rows.append(finished.result())
             polars.DataFrame(rows).sort("optimizer", "seed").write_csv(file)
     table = polars.DataFrame(rows).sort("optimizer", "seed")  # on whose order the bootstrap depends
-    best_mm = {name: table.filter(optimizer=name)["best_mm"].to_numpy() for name in NAMES}
-    others = [name for name in NAMES[1:] if best_mm[name].size and best_mm["shade"].size]
+    parts = {name: table.filter(optimizer=name) for name in NAMES}
+    best_mm = {name: part["best_mm"].to_numpy() for name, part in parts.items() if len(part)}
+    others = [name for name in best_mm if name != "shade" and "shade" in best_mm]
     p = holm({name: mann_whitney(best_mm[name], best_mm["shade"]) for name in others})
-    parts = [table.filter(optimizer=name) for name in ("shade", *others)]
-    summaries = [summarize(part, parts[0]) for part in parts if len(part)]
+    summaries = [summarize(parts[name], parts["shade"]) for name in best_mm]
     report("optimizers", [row | {"p (Holm)": p.get(row["optimizer"], "")} for row in summaries])
 
 
