@@ -153,8 +153,8 @@ def summarize(analysis: Analysis) -> list[str]:
             if gain.ratio is not None and np.isfinite(gain.ratio.value):
                 change = Estimate(*(100 * (ratio - 1) for ratio in gain.ratio))
                 lines.append(
-                    f"{gain.arm}: {format_estimate(change, '{:+.0f}')} % distance after {count} "
-                    f"generations against {config.reference_of(gain.arm)} ({gain.runs} runs)."
+                    f"{gain.arm}: {format_estimate(change, '{:+z.0f}')} % distance after {count} "
+                    f"generations against {config.reference_of(gain.arm)} ({_count_runs(gain.runs)})."
                 )
     return lines
 
@@ -165,7 +165,7 @@ def _summarize_times(threshold: Threshold, row: Times, reference: str) -> str:
     level = _mm(row.threshold_m)
     if threshold.fixed_m is None:
         level = f"{threshold} ({level})"
-    line = f"{row.arm}: {row.reached} of {row.runs} runs reach {level}"
+    line = f"{row.arm}: {row.reached} of {_count_runs(row.runs)} reached {level}"
     if row.median_generations is not None and np.isfinite(row.median_generations.value):
         line += f", the median run after {format_estimate(row.median_generations, '{:.0f}')} generations"
     if row.acceleration is not None and row.acceleration.value > 0:
@@ -190,6 +190,11 @@ def format_estimate(estimate: Estimate | None, pattern: str = "{:.2f}", factor: 
         return "undefined"
     value, low, high = (pattern.format(factor * v) if np.isfinite(v) else "∞" for v in estimate)
     return value if np.isnan(estimate.low) else f"{value} ({low} to {high})"
+
+
+def _count_runs(number: int) -> str:
+    """Return a number of runs in words, such as `1 run`."""
+    return f"{number} run" if number == 1 else f"{number} runs"
 
 
 def format_p(p: float | None) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib.metadata import version
+from math import isnan
 from pathlib import Path
 
 from caterpillar_env.files import COPY, name_of, write_bytes
@@ -47,7 +48,7 @@ def write(analysis: Analysis, retest: Retest, folder: Path) -> Path:
                 save(figure, path)
                 shown.append((name, _CAPTIONS[name], data_url("image/png", path.read_bytes())))
     filters = {
-        "mm": lambda metres: f"{1000 * metres:.1f}",
+        "mm": lambda metres: "unknown" if isnan(metres) else f"{1000 * metres:.1f}",
         "percent": lambda share: f"{100 * share:.1f} %",
         "mm_interval": lambda estimate: format_estimate(estimate, "{:.1f}", 1000.0),
         "whole": lambda estimate: format_estimate(estimate, "{:,.0f}"),

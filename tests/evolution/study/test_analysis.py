@@ -136,11 +136,11 @@ def test_summary_states_the_results(analysis):
     text = "\n".join(lines)
     name = "ga-preprocessed"
     assert (
-        f"{name}: 4 of 4 runs reach 90 mm, the median run after 1 (1 to ∞) generations; ratio of "
+        f"{name}: 4 of 4 runs reached 90 mm, the median run after 1 (1 to ∞) generations; ratio of "
         "expected running times, ga-uniform to ga-preprocessed, 2.00, log-rank p 0.057." in lines
     )
     assert (
-        "random-preprocessed: 0 of 4 runs reach 90 mm; ratio of expected running times, ga-uniform to "
+        "random-preprocessed: 0 of 4 runs reached 90 mm; ratio of expected running times, ga-uniform to "
         "random-preprocessed, 0.00, log-rank p 0.057." in lines
     )
     assert f"{name}: +109 % distance after 2 generations against ga-uniform" in text
@@ -265,6 +265,7 @@ def test_summary_of_an_unfinished_study_names_what_is_missing(few_draws):
     table = runs("ga-uniform", [[0.01]])
     lines = summarize(analyse(CONFIG, Results(table, [Cell("ga-preprocessed", 1)])))
     assert lines[0].startswith("UNFINISHED: 1 of 12 runs are missing (ga-preprocessed seed 1)")
+    assert lines[1].startswith("ga-uniform: 0 of 1 run reached 90 mm")
 
 
 def test_speed_up_is_infinite_if_no_reference_run_reaches_the_threshold(few_draws):
@@ -273,7 +274,7 @@ def test_speed_up_is_infinite_if_no_reference_run_reaches_the_threshold(few_draw
     )
     text = "\n".join(summarize(analyse(CONFIG, Results(table, []))))
     assert (
-        "4 of 4 runs reach 90 mm, the median run after 1 (1 to ∞) generations; ratio of expected "
+        "4 of 4 runs reached 90 mm, the median run after 1 (1 to ∞) generations; ratio of expected "
         "running times, ga-uniform to ga-preprocessed, ∞" in text
     )
 

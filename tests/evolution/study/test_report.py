@@ -154,3 +154,9 @@ def test_page_of_policies_has_no_table_of_gaits(tmp_path):
     page = report.write(replace(STUDY, runs={}), retest, tmp_path).read_text("utf-8")
     assert "simulated again</h2>" in page
     assert "How the best robots crawl" not in page
+
+
+def test_page_names_a_threshold_that_the_reference_does_not_define(tmp_path):
+    unknown = {Threshold(generations=9): [TIMES._replace(threshold_m=np.nan)]}
+    page = report.write(replace(STUDY, times=unknown, runs={}), Retest([], [], []), tmp_path)
+    assert "<td>ga-uniform<td>unknown<td>" in page.read_text("utf-8")
