@@ -41,7 +41,7 @@ class TrainArm:
         if base.get("gait_period_s", GAIT_PERIOD_S) != GAIT_PERIOD_S:
             raise CaterpillarError(
                 f"base.gait_period_s = {base['gait_period_s']!r} does not apply to policies, whose gait "
-                f"period is {GAIT_PERIOD_S:g} s; set it in each arm of evolution instead"
+                f"period is {GAIT_PERIOD_S:g} s; set it in each arm of the kind evolution instead"
             )
         shared = {name: base[name] for name in ("physics",) if name in base}
         return cls(TrainConfig.from_dict(merge(shared, data)))

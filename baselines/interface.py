@@ -29,8 +29,8 @@ class Interface(VecEnvWrapper):
 
     With the prior `gait`, an action of zeros makes the wave at the peak of K_4 and K_5, see `best_wave`.
     In timing and phase mode, -1 and 1 move a time, a delay or a duty of this wave by `reach`. In
-    switch mode, 1 flips a switch of the wave. With the prior `uniform`, actions are those of the
-    environment.
+    switch mode, 0 leaves a spring as in the wave, and 1 inverts whether it is powered. With the prior
+    `uniform`, actions are those of the environment.
 
     Args:
         venv: robots, for example a `CaterpillarVecEnv`, with the nominal gait period.

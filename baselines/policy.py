@@ -144,7 +144,7 @@ class Policy:
         return found.hexdigest()
 
     def act(self, observations: Any) -> NDArray[Any]:
-        """Return the most likely actions for observations (R, n) of the environment."""
+        """Return the deterministic actions of the policy for observations of the environment, (R, n)."""
         if self.interface is None:
             return self.actor.predict(observations, deterministic=True)[0]
         seen = self.interface.observe(observations)
@@ -157,7 +157,7 @@ class Policy:
         morphology: Morphology,
         on_interval: OnInterval | None = None,
     ) -> Outcomes:
-        """Run one episode with the most likely actions, in an environment from `make_env`."""
+        """Run one episode with the deterministic policy, in an environment from `make_env`."""
         env.on_interval = on_interval
         observation, _ = env.reset(seed=seed, options={"morphology": morphology})
         ended = False

@@ -40,7 +40,7 @@ class Faults:
 
     @classmethod
     def of(cls, value: Faults | Mapping[str, Any] | int | None) -> Faults | None:
-        """Return `value` as `Faults`. A number is the number of springs.
+        """Return `value` as `Faults`. An integer n stands for `Faults(springs=n)`.
 
         Raises:
             CaterpillarError: a field is unknown or its value is invalid.

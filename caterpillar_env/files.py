@@ -123,7 +123,7 @@ def parse_json(text: str) -> Any:
 
     Raises:
         ValueError: the text is not JSON, or repeats a key of an object.
-        RecursionError: it is nested too deeply.
+        RecursionError: the text is nested too deeply.
     """
     return json.loads(text, object_pairs_hook=_without_repetitions)
 

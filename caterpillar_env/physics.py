@@ -70,8 +70,8 @@ class Physics:
     bend_ratio: float = 2.0  #: stiffness and damping of the intra-segment hinge, relative to a neck
     bend_axis: BendAxis = "yaw"  #: axis of the intra-segment hinge; yaw is our choice
     friction: float = 0.8  #: friction coefficient of feet and elements on the ground
-    mismatch_std: float = 0.05  #: standard deviation of the factors on the forces of the springs
-    mismatch_seed: int = 0  #: random seed of the factors on the forces of the springs
+    mismatch_std: float = 0.05  #: standard deviation of the spring-force factors
+    mismatch_seed: int = 0  #: random seed of the spring-force factors
     #: factor on the force of each spring; by default, sampled with mismatch_std and mismatch_seed
     spring_strengths: tuple[float, ...] | None = None
     timestep_s: float = 0.0025  #: physics timestep, s; must divide 0.01

@@ -41,8 +41,8 @@ class Randomization:
     """
 
     friction: Range | None = None  #: friction coefficient of feet and elements on the ground
-    mismatch_std: Range | None = None  #: standard deviation of new factors on the forces of springs
-    spring_force: Range | None = None  #: factor on the force of all springs
+    mismatch_std: Range | None = None  #: standard deviation of new spring-force factors
+    spring_force: Range | None = None  #: one force factor for all springs
     mass: Range | None = None  #: factor on the mass of the body
     ambient_c: Range | None = None  #: air temperature, degC
 

@@ -101,7 +101,7 @@ class Simulation:
         """The MuJoCo `Batch` that steps the rows. A wrapper that records calls may replace it.
 
         Raises:
-            CaterpillarError: the process was forked, so that the threads of the batch are missing.
+            CaterpillarError: this process is a fork, which does not have the threads of the batch.
         """
         if os.getpid() != self._process and self._engine.nthread > 1:
             raise CaterpillarError(

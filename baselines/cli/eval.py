@@ -30,11 +30,11 @@ class EvalArgs:
     episodes: int = 1
     """Number of episodes with random actions. A policy repeats the same episode."""
     frictions: tuple[float, ...] = ()
-    """Friction coefficients to evaluate with; by default that of the training run."""
+    """Friction coefficients to evaluate with; by default, the one of the training run."""
     mismatch_seeds: tuple[int, ...] = ()
-    """Seeds of the factors on the forces of the springs; by default that of the training run."""
+    """Seeds (`mismatch_seed`) of the spring-force factors; by default, the one of the training run."""
     timestep_s: float | None = None
-    """Physics timestep in s; by default that of the training run."""
+    """Physics timestep in s; by default, the one of the training run."""
     json: bool = False
     """Print JSON instead of sentences."""
     video: bool = False
@@ -55,7 +55,8 @@ class EvalArgs:
 def eval_command(argv: Sequence[str]) -> int:
     """Evaluate a trained policy, optionally under different conditions."""
     args = cli.parse(EvalArgs, argv, "rl eval")
-    which: Which = "best" if args.robot.is_file() else "last"  # random actions need no good policy
+    # Random actions need the settings only. A run may have no best policy, and a JSON file has no last.
+    which: Which = "best" if args.robot.is_file() else "last"
     robot = TrainedRobot.load(args.robot, which if args.which == "random" else args.which)
     if args.timestep_s is not None:
         robot = robot.with_physics(timestep_s=args.timestep_s)

@@ -15,7 +15,7 @@ from evolution.priors.distributions import Distribution, draw
 
 DRAWS = 2  #: draws from the distributions for each genome of the first population; the best are kept
 _MEMORY = 5  #: number of remembered pairs of scale and crossover rate
-_GREEDIEST = 0.2  #: largest share of the population from which a target is drawn
+_LARGEST_SHARE = 0.2  #: largest share of the population from which a target is drawn
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Shade(GenerationalOptimizer):
     Each genome x of the population proposes a trial. The trial mixes x with the mutant
     x + F (target - x) + F (a - b), where the target is one of the best genomes, a is another genome, and
     b is a third genome or one that was replaced. The trial replaces x if it is at least as good. The
-    scale F and the crossover rate follow the values that led to better genomes.
+    scale F and the crossover rate are sampled around values that recently improved genomes.
 
     With several candidates, each genome is drawn several times, and `predict` chooses one of the draws.
 
@@ -146,7 +146,7 @@ class Shade(GenerationalOptimizer):
         """Return the differences to a target and between two other genomes, (N, n) each."""
         n, x, number = self._size, self._genomes, np.arange(self._size)
         order = np.argsort(-self._fitness, kind="stable")
-        shares = self._rng.uniform(min(2 / n, _GREEDIEST), _GREEDIEST, n)
+        shares = self._rng.uniform(min(2 / n, _LARGEST_SHARE), _LARGEST_SHARE, n)
         num_best = np.maximum((shares * n).astype(int), 1)
         targets = order[(self._rng.random(n) * num_best).astype(int)]
         one = self._rng.integers(n - 1, size=n)

@@ -62,7 +62,7 @@ def _make_wave(encoding: Encoding) -> Encoding:
 
 
 def searches(encoding: Encoding, prior: Prior) -> list[Search]:
-    """Return the search for the maximum of each K_i of a prior."""
+    """Return one `Search`, the grid search for a maximum, for each K_i of a prior."""
     return search_all(design_parameters(encoding, prior), _make_wave(encoding).genes)
 
 

@@ -118,7 +118,7 @@ class ClippedGaussian(Gaussian):
 
 @dataclass(frozen=True)
 class WrappedGaussian(Gaussian):
-    """A Gaussian on a circle, for circular genes. It is cut opposite to its peak."""
+    """A Gaussian on a circle, for circular genes. It ends half a circle from its peak."""
 
     @classmethod
     def with_floor(cls, mu: float, ratio: float = 3.0) -> WrappedGaussian:

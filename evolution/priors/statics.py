@@ -169,7 +169,7 @@ class PlanarChain:
         feet, spring = self._feet, self._physics.spring
         force = np.zeros_like(at.vectors_m)
         stiffness = np.zeros((2, *force.shape))
-        force[1, feet] = 1.0  # the weights are in the vector
+        force[1, feet] = 1.0  # gradient of gravity: this vector is a sum of weighted positions
         foot_x_m, foot_z_m = at.vectors_m[:, :feet]
         moved_m = foot_x_m - feet_m
         friction = self._physics.friction * load_n / np.hypot(moved_m, SLIP_M)

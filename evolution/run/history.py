@@ -227,8 +227,8 @@ class History:
                 raise CaterpillarError(
                     f"evaluation {evaluation.number} in {self._journal.path} has a different genome "
                     "from the one that the optimizer proposes now. The package or NumPy has changed, or "
-                    "the journal belongs to a different run. Install the versions in the journal's "
-                    "table `sessions`, or start a new run"
+                    "the journal belongs to a different run. Install the package versions listed in the "
+                    "journal's table `sessions`, or start a new run"
                 )
         return len(known)
 

@@ -65,7 +65,7 @@ class Arm(Protocol):
         """Return whether a recorded run has these settings."""
 
     def restore(self, rows: polars.DataFrame, folder: Path, seed: int, budget_s: float) -> None:
-        """Make the folder of a run again, if the arm is `restorable`.
+        """Recreate the folder of a run from its evaluations. Only for arms that are `restorable`.
 
         Args:
             rows: evaluations of completed generations, as in the table of a study.

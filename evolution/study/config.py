@@ -51,7 +51,8 @@ class StudyConfig:
     long_budget_s: float = 0.0  #: simulated seconds of the reference's longer runs
     reference: str = "ga-uniform"  #: arm that the other arms are compared with
     references: Mapping[str, str] = field(default_factory=dict)  #: by arm, if different from `reference`
-    #: Numbers of generations after which arms with the algorithm of `reference` are compared.
+    #: Numbers of generations after which arms are compared. Only arms with the optimizer and the racing
+    #: of `reference` take part.
     generations: tuple[int, ...] = (50,)
     #: Thresholds in m. By default, the median distance of the reference after each of `generations`.
     thresholds_m: tuple[float, ...] = ()

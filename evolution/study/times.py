@@ -85,7 +85,10 @@ def arrivals(runs: Sequence[Run], threshold_m: float, budget_s: float = np.inf) 
 
 
 def count_generations(runs: Sequence[Run], threshold_m: float) -> Arrivals:
-    """Return each run's number of generations to a threshold or to its end; see `arrivals`."""
+    """Return each run's number of generations to a threshold, or to the end of the run, (n,).
+
+    The second array is that of `arrivals`.
+    """
     counts = np.array([run.generations_to(threshold_m) for run in runs])
     reached = np.isfinite(counts)
     return np.where(reached, counts, [run.generations for run in runs]), reached
