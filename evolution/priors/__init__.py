@@ -13,6 +13,7 @@ from evolution.priors.body import body_parameters
 from evolution.priors.distributions import (
     ClippedGaussian,
     Clipping,
+    Distribution,
     Gaussian,
     Uniform,
     WrappedGaussian,
@@ -89,7 +90,8 @@ def make_priors(
         floor_ratio: maximum over minimum density of a Gaussian, before clamping.
         clipping: interpretation of the paper's "clipped Gaussian".
         contradictions: what to do with genes on which two K_i disagree.
-        control: "mirrored" or "shuffled" gives a misleading prior of the same strength.
+        control: "mirrored" or "shuffled" gives a misleading prior of the same strength. On and off
+            times are then those of the mirrored wave.
         without: name of a K_i to leave out.
         seed: seed of the shuffle.
 
@@ -98,6 +100,8 @@ def make_priors(
     """
     parameters = design_parameters(encoding, prior, without)
     found = preprocess(parameters, _make_wave(encoding).genes, floor_ratio, contradictions)
+    if control == "mirrored":
+        found = [replace(row, distribution=_mirror(row.distribution)) for row in found]
     known = {row.gene.parameter: row for row in found}
     if "gait" in prior and encoding.timing == "on-off":
         known |= _time_priors(encoding, known)
@@ -105,13 +109,15 @@ def make_priors(
     free = GenePrior(genes[0], Uniform(), (), "in no design parameter")
     rows = [replace(known.get(gene.parameter, free), gene=gene) for gene in genes]
     shapes = [row.distribution for row in rows]
-    if control == "mirrored":
-        shapes = [d.mirrored() if isinstance(d, Gaussian) else d for d in shapes]
-    elif control == "shuffled":
+    if control == "shuffled":
         order = np.random.default_rng([seed, _SHUFFLE]).permutation(len(shapes))
         shapes = [shapes[i] for i in order]
     shapes = [replace(d, clipping=clipping) if isinstance(d, ClippedGaussian) else d for d in shapes]
     return [replace(row, distribution=d) for row, d in zip(rows, shapes, strict=True)]
+
+
+def _mirror(distribution: Distribution) -> Distribution:
+    return distribution.mirrored() if isinstance(distribution, Gaussian) else distribution
 
 
 def _time_priors(encoding: Encoding, known: dict[str, GenePrior]) -> dict[str, GenePrior]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,9 +12,20 @@ import numpy as np
 from caterpillar_env.arrays import Array
 from evolution.study import statistics
 from evolution.study.config import Cell, StudyConfig
-from evolution.study.results import Results, read_runs
+from evolution.study.results import Results, Run, read_runs
 from evolution.study.statistics import Estimate
-from evolution.study.times import Runs, Threshold, Times, compare, find_speed_ups, find_times
+from evolution.study.times import (
+    Rows,
+    Runs,
+    Threshold,
+    Times,
+    compare,
+    count_generations,
+    find_speed_ups,
+    find_times,
+    indices,
+)
+from evolution.study.trends import Trend, find_trends
 
 TARGETS = 50
 
@@ -38,6 +50,8 @@ class Gain(NamedTuple):
     median_m: Estimate
     ratio: Estimate | None  #: ratio of the medians, arm to reference
     a12: Estimate | None  #: against the reference
+    #: Generations after which the median run of the reference (Kaplan-Meier) has reached `median_m`.
+    reference_generations: Estimate | None
 
 
 @dataclass(frozen=True)
@@ -51,6 +65,7 @@ class Analysis:
     distances: dict[float, list[Distances]]  #: by simulated time, s; the last one is the budget
     gains: dict[int, list[Gain]]  #: by number of generations
     speed_ups: dict[str, list[tuple[float, Estimate]]]  #: by arm, with thresholds in m
+    trends: list[Trend]  #: change of speed-ups with the number of genes, for the last threshold
     ecdf: dict[str, Array]  #: share of (run, target) pairs reached at each time of `grid_s`
     grid_s: Array
 
@@ -65,17 +80,20 @@ def analyse(config: StudyConfig, results: Results) -> Analysis:
     if not thresholds:
         thresholds = [Threshold(generations=count) for count in config.generations]
     gains = {count: _gains(config, runs, count) for count in config.generations}
+    times = {threshold: find_times(config, runs, threshold) for threshold in thresholds}
+    last = thresholds[-1]
     return Analysis(
         config=config,
         missing=results.missing,
         runs=runs,
-        times={threshold: find_times(config, runs, threshold) for threshold in thresholds},
+        times=times,
         distances={
             time_s: _distances(config, runs, time_s)
             for time_s in (*sorted(config.compare_at_s), config.budget_s)
         },
         gains={count: rows for count, rows in gains.items() if rows},
         speed_ups=find_speed_ups(config, runs),
+        trends=find_trends(config, runs, last, times[last]),
         ecdf={
             arm: statistics.target_ecdf(
                 np.array([[run.time_to(t) for t in targets_m] for run in found]), grid_s
@@ -121,10 +139,26 @@ def _gains(config: StudyConfig, runs: Runs, generations: int) -> list[Gain]:
 
     ratios = compare(config, reached_m, lambda a, b: statistics.bootstrap(ratio, (a,), (b,)))
     a12 = compare(config, reached_m, statistics.a12)
-    return [
-        Gain(arm, len(values), statistics.median(values), ratios.get(arm), a12.get(arm))
+    needed = {
+        arm: _reference_generations(values, runs[config.reference_of(arm)])
         for arm, values in reached_m.items()
+        if arm in a12
+    }
+    return [
+        Gain(arm, len(x), statistics.median(x), ratios.get(arm), a12.get(arm), needed.get(arm))
+        for arm, x in reached_m.items()
     ]
+
+
+def _reference_generations(reached_m: Array, reference: list[Run]) -> Estimate:
+    """Estimate the generations of the median run of the reference to the median distance of an arm."""
+    find = cache(partial(count_generations, reference))
+
+    def generations(values: Array, rows: Rows) -> float:
+        counts, reached = find(float(np.median(values)))
+        return statistics.find_median(counts[rows], reached[rows])
+
+    return statistics.bootstrap(generations, (reached_m,), indices(reference))
 
 
 def summarize(analysis: Analysis) -> list[str]:
@@ -156,6 +190,21 @@ def summarize(analysis: Analysis) -> list[str]:
                     f"{gain.arm}: {format_estimate(change, '{:+z.0f}')} % distance after {count} "
                     f"generations against {config.reference_of(gain.arm)} ({_count_runs(gain.runs)})."
                 )
+            if gain.reference_generations is not None:
+                needed = "fewer than half of the runs reached"
+                if np.isfinite(gain.reference_generations.value):
+                    number = format_estimate(gain.reference_generations, "{:.0f}")
+                    needed = f"the median run needed {number} generations to reach"
+                lines.append(
+                    f"{config.reference_of(gain.arm)}: {needed} the median distance of {gain.arm} after "
+                    f"{count} generations."
+                )
+    lines += [
+        f"{trend.name}: the ratio of expected running times changes by a factor of "
+        f"{format_estimate(trend.per_doubling)} when the number of genes doubles "
+        f"({trend.genes[0]} to {trend.genes[-1]} genes)."
+        for trend in analysis.trends
+    ]
     return lines
 
 

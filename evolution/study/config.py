@@ -190,8 +190,9 @@ class StudyConfig:
 
 
 def _algorithm(run: RunConfig) -> tuple[Any, ...]:
-    """Return the settings that decide what a generation is."""
-    return run.optimizer, run.ga, run.cma, run.shade, run.race_share, run.race_periods
+    """Return the settings that decide what a generation is. The mutation rate does not."""
+    ga = replace(run.ga, mutation_rate=0.0)
+    return run.optimizer, ga, run.cma, run.shade, run.race_share, run.race_periods
 
 
 def read_toml(path: Path) -> StudyConfig:

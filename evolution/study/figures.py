@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from caterpillar_env.arrays import Array
 from evolution.study import statistics
 from evolution.study.analysis import Analysis
-from evolution.study.arms import EvolutionArm
 from evolution.study.times import arrivals
 
 _KILO = 1000.0  # the time axes are in 1000 s
@@ -126,25 +125,17 @@ def draw_speed_ups(analysis: Analysis) -> Figure | None:
 
 
 def draw_genes(analysis: Analysis) -> Figure | None:
-    """Draw how much faster arms are, over the number of genes; None if `references` is empty."""
-    config, rows = analysis.config, next(reversed(list(analysis.times.values())), [])
-    found: dict[str, list[tuple[float, ...]]] = {}
-    for row in rows:
-        arm = config.arms[row.arm]
-        ratio = row.acceleration or row.speed_up
-        if row.arm in config.references and ratio and isinstance(arm, EvolutionArm):
-            genes = len(arm.config.encoding.genes)
-            found.setdefault(arm.config.prior, []).append((genes, *ratio))
-    if not found:
+    """Draw the speed-up by a prior over the number of genes; None if no prior has several robots."""
+    if not analysis.trends:
         return None
-    figure, axis = _new_figure("times as fast as the reference")
+    figure, axis = _new_figure("ratio of expected running times")
     axis.set_xlabel("number of genes")
     palette = colormaps["tab10"]
-    for number, (prior, points) in enumerate(found.items()):
-        genes, value, low, high = np.array(sorted(points)).T
-        genes = genes * 1.01**number  # so that intervals do not hide each other
+    for number, trend in enumerate(analysis.trends):
+        genes = np.array(trend.genes) * 1.01**number  # so that intervals do not hide each other
+        value, low, high = np.array(trend.speed_ups).T
         axis.vlines(genes, _bound(low), _bound(high), color=palette(number), alpha=0.6)
-        _plot_ratios(axis, genes, value, palette(number), label=f"prior {prior}", line="none")
+        _plot_ratios(axis, genes, value, palette(number), label=trend.name, line=":")
     axis.set_xscale("log")
     axis.xaxis.set_major_formatter("{x:.0f}")
     axis.xaxis.set_minor_formatter("{x:.0f}")

@@ -23,8 +23,9 @@ _CAPTIONS = {
     "speed-up": "Ratio of expected running times, reference to arm, by the distance to reach, with 95 % "
     "intervals. A quarter of the reference's runs exceed the last distance. Triangles: no run of the "
     "reference (up) or of the arm (down) reached that distance, in some resamples or at all.",
-    "genes": "How many times as fast as the reference of the same robot, by the number of genes, with "
-    "95 % intervals. Triangles: fewer than half of the runs reach the threshold.",
+    "genes": "Ratio of expected running times, reference of the same robot to arm, by the number of "
+    "genes, with 95 % intervals. Triangles: no run of the reference (up) or of the arm (down) reached "
+    "the threshold.",
     "targets": "Share of 50 target distances reached, over all runs.",
 }
 

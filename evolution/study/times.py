@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,7 +159,8 @@ def find_speed_ups(config: StudyConfig, runs: Runs) -> dict[str, list[tuple[floa
     return {arm: rows for arm, rows in compare(config, runs, find).items() if rows}
 
 
-def _indices(runs: Sequence[Run]) -> tuple[NDArray[Any]]:
+def indices(runs: Sequence[Run]) -> tuple[Rows]:
+    """Return the indices of runs as a group for `statistics.bootstrap`."""
     return (np.arange(len(runs)),)
 
 
@@ -186,7 +187,7 @@ def _accelerate(threshold: Threshold, runs: list[Run], reference: list[Run]) -> 
         median = statistics.find_median(counts[rows], reached[rows])
         return float("nan") if np.isnan(level_m) else threshold.generations / median
 
-    return statistics.bootstrap(acceleration, _indices(runs), _indices(reference))
+    return statistics.bootstrap(acceleration, indices(runs), indices(reference))
 
 
 def _running_time(
@@ -202,14 +203,14 @@ def _running_time(
         return float("nan") if np.isnan(level_m) else ert
 
     if threshold.fixed_m is not None or runs is reference:
-        return statistics.bootstrap(running_time, _indices(runs))
-    return statistics.bootstrap(running_time, _indices(runs), _indices(reference))
+        return statistics.bootstrap(running_time, indices(runs))
+    return statistics.bootstrap(running_time, indices(runs), indices(reference))
 
 
-def _speed_up(
+def speed_up_function(
     threshold: Threshold, runs: list[Run], reference: list[Run], *, budget_s: float
-) -> Estimate:
-    """Estimate the ratio of ERTs to a threshold, reference to arm."""
+) -> Callable[[Rows, Rows], float]:
+    """Return a function from indices of both groups to the ratio of ERTs, reference to arm."""
     level = threshold.find(reference)
     find, find_base = (cache(partial(arrivals, group, budget_s=budget_s)) for group in (runs, reference))
 
@@ -218,7 +219,15 @@ def _speed_up(
         (time, reached), (base_time, base_reached) = find(level_m), find_base(level_m)
         return statistics.speed_up(time[rows], reached[rows], base_time[base], base_reached[base])
 
-    both, level_m = (_indices(runs), _indices(reference)), threshold.of(reference)
-    if not (find(level_m)[1].any() and find_base(level_m)[1].any()):  # no interval can be estimated
-        return Estimate(speed_up(both[0][0], both[1][0]), float("nan"), float("nan"))
+    return speed_up
+
+
+def _speed_up(
+    threshold: Threshold, runs: list[Run], reference: list[Run], *, budget_s: float
+) -> Estimate:
+    """Estimate the ratio of ERTs to a threshold, reference to arm."""
+    speed_up = speed_up_function(threshold, runs, reference, budget_s=budget_s)
+    both, level_m = (indices(runs), indices(reference)), threshold.of(reference)
+    if not all(arrivals(group, level_m, budget_s)[1].any() for group in (runs, reference)):
+        return Estimate(speed_up(both[0][0], both[1][0]), float("nan"), float("nan"))  # no interval
     return statistics.bootstrap(speed_up, *both)

@@ -159,6 +159,15 @@ def test_controls_mirror_or_shuffle_the_same_distributions():
     assert shuffled == distributions(WAVE, control="shuffled", seed=1)
 
 
+def test_mirrored_on_and_off_times_are_those_of_the_mirrored_wave():
+    wave, times = (distributions(e, control="mirrored") for e in (WAVE, Encoding()))
+    lag, offset, duty = wave["lag"].mu, wave["offset"].mu, 0.95 * wave["dorsal_duty"].mu
+    assert duty > 0.7
+    for pair, start in {"gap1_dorsal": 0.0, "gap3_ventral": 2 * lag + offset}.items():
+        assert times[f"{pair}_on_s"].mu == pytest.approx(start % 1, abs=1e-6)
+        assert times[f"{pair}_off_s"].mu == pytest.approx((start + duty) % 1, abs=1e-6)
+
+
 def test_a_design_parameter_can_be_left_out():
     full, without = distributions(WAVE), distributions(WAVE, without="lifting moment")
     changed = {name for name in full if full[name] != without[name]}

@@ -144,7 +144,23 @@ def test_summary_states_the_results(analysis):
         "random-preprocessed, 0.00, log-rank p 0.057." in lines
     )
     assert f"{name}: +109 % distance after 2 generations against ga-uniform" in text
+    assert "ga-uniform: fewer than half of the runs reached the median distance of" in text
     assert "UNFINISHED" not in text
+
+
+def test_reference_needs_more_generations_for_the_distance_of_the_arm(few_draws):
+    config = with_own_thresholds(generations=[1, 2], seeds=[0, 1, 2, 3, 4])
+    table = polars.concat(
+        [runs("ga-uniform", [ramp(0.0, 0.01)] * 5), runs("ga-preprocessed", [ramp(0.03, 0.01)] * 5)]
+    )
+    found = analyse(config, Results(table, []))
+    first, last = (found.gains[count][1].reference_generations for count in (1, 2))
+    assert first == Estimate(2, 2, 2)  # 70 mm
+    assert last.value == np.inf  # 120 mm
+    assert (
+        "ga-uniform: the median run needed 2 (2 to 2) generations to reach the median distance of "
+        "ga-preprocessed after 1 generations." in summarize(found)
+    )
 
 
 THRESHOLD = Threshold(generations=2)

@@ -49,7 +49,7 @@ def test_settings_of_an_arm_are_merged_into_the_base():
 
 @pytest.mark.parametrize(
     ("name", "arms"),
-    [("paper", 2), ("ablation", 28), ("conjecture", 27), ("search", 2), ("worlds", 7), ("pilot", 6)],
+    [("paper", 2), ("ablation", 32), ("conjecture", 36), ("search", 2), ("worlds", 7), ("pilot", 6)],
 )
 def test_presets_are_complete_and_raise_no_warnings(name, arms):
     config = preset(name)
@@ -93,9 +93,12 @@ def test_arms_of_the_conjecture_differ_in_the_prior_from_their_reference():
     for name, arm in config.arms.items():
         base = config.arms[config.reference_of(name)]
         assert replace(arm.config, prior="uniform") == base.config
-        sizes.add(len(arm.config.encoding.genes))
+        genes = len(arm.config.encoding.genes)
+        assert arm.config.ga.mutation_rate == pytest.approx(1 / genes, rel=1e-3)
+        sizes.add(genes)
     assert (min(sizes), max(sizes), len(sizes)) == (20, 188, 9)
     assert set(config.arms) - set(config.references) == set(config.references.values())
+    assert len(config.comparable()) == len(config.arms)
 
 
 def test_arms_of_the_ablation_differ_in_one_part_from_their_reference():

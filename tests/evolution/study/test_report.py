@@ -12,6 +12,7 @@ from evolution.study.config import StudyConfig
 from evolution.study.results import Run
 from evolution.study.statistics import Estimate
 from evolution.study.times import Threshold, Times
+from evolution.study.trends import Trend
 from evolution.study.winners import Comparison, Crawling, Retest, Winner
 
 CONFIG = StudyConfig.from_dict(
@@ -34,7 +35,7 @@ TIMES = Times(
 STUDY = Analysis(
     config=CONFIG, missing=(), times={Threshold(0.05): [TIMES]}, distances={}, gains={}, speed_ups={},
     runs={"ga-uniform": [make_run(0, [0.0, 0.02]), make_run(1, [0.01, 0.06], ("ok", "tipped"))]},
-    ecdf={"ga-uniform": np.array([0.0, 0.5])}, grid_s=np.array([0.0, 29.0, 30.0, 61.0]),
+    trends=[], ecdf={"ga-uniform": np.array([0.0, 0.5])}, grid_s=np.array([0.0, 29.0, 30.0, 61.0]),
 )  # fmt: skip
 
 
@@ -83,21 +84,11 @@ def test_speed_ups_beyond_the_axis_are_triangles():
     assert figures.draw_speed_ups(STUDY) is None
 
 
-def test_acceleration_is_drawn_over_the_number_of_genes():
-    arms = {
-        f"{count}-{prior}": {"prior": prior, "physics": {"num_segments": count}}
-        for count in (4, 8) for prior in ("uniform", "body")
-    }  # fmt: skip
-    references = {"4-body": "4-uniform", "8-body": "8-uniform"}
-    config = StudyConfig.from_dict(
-        {"seeds": [0], "budget_s": 100, "arms": arms, "reference": "4-uniform", "references": references}
-    )
-    rows = [TIMES._replace(arm=arm, acceleration=RATIO if "body" in arm else None) for arm in arms]
-    rows = [row._replace(speed_up=row.acceleration and NEVER) for row in rows]
-    drawn = replace(STUDY, config=config, times={Threshold(generations=50): rows})
-    (axis,) = figures.draw_genes(drawn).axes
+def test_speed_ups_of_a_prior_are_drawn_over_the_number_of_genes():
+    trend = Trend("prior body, genome shared", (20, 36), (RATIO, NEVER), RATIO)
+    (axis,) = figures.draw_genes(replace(STUDY, trends=[trend])).axes
     assert axis.lines[0].get_xdata().tolist() == [20, 36]
-    assert axis.lines[0].get_ydata().tolist() == [2.0, 2.0]
+    assert axis.lines[0].get_ydata().tolist() == [2.0, 1600.0]
     assert figures.draw_genes(STUDY) is None
 
 
@@ -108,7 +99,7 @@ def test_page_shows_every_number_in_its_unit(tmp_path):
         STUDY,
         runs={},
         distances={100.0: [row]},
-        gains={50: [Gain("ga-uniform", 2, median, RATIO, None)]},
+        gains={50: [Gain("ga-uniform", 2, median, RATIO, None, Estimate(114.0, 90.0, np.inf))]},
     )
     retest = Retest(
         [Winner("ga-uniform", 1, 0.06, 0.0301, "ok")],
@@ -131,7 +122,7 @@ def test_page_shows_every_number_in_its_unit(tmp_path):
             "0.016",
         ],
         ["ga-uniform", "2", "40.0 (30.0 to 50.0)", "60.0", "25 %", fast, "&lt; 0.001"],
-        ["ga-uniform", "2", "40.0 (30.0 to 50.0)", fast, ""],
+        ["ga-uniform", "2", "40.0 (30.0 to 50.0)", fast, "", "114 (90 to ∞)"],
         ["ga-uniform", "1", "60.0", "30.1", "artefact of the timestep"],
         ["ga-uniform", "Runge-Kutta", "2", "1", "97.9 %", "95.0 % to 102.0 %", "30.0"],
         ["ga-uniform", "2", "load on the body", "3.0 %", "1.0 % to 5.0 %"],

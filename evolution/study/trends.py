@@ -1,0 +1,73 @@
+"""How the speed-up by a prior changes with the number of genes (the conjecture of Saunders 2009)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from evolution.study import statistics
+from evolution.study.arms import EvolutionArm
+from evolution.study.config import StudyConfig
+from evolution.study.statistics import Estimate
+from evolution.study.times import Rows, Runs, Threshold, Times, indices, speed_up_function
+
+_LARGEST = 100.0  #: larger speed-ups, and the inverse of smaller ones, count as this ratio
+
+
+class Trend(NamedTuple):
+    """Speed-up by a prior for robots with different numbers of genes."""
+
+    name: str  #: prior, genome and timing of the arms
+    genes: tuple[int, ...]  #: number of genes of each robot, ascending
+    speed_ups: tuple[Estimate, ...]  #: ratio of ERTs for each robot, reference to arm
+    #: Factor by which the speed-up changes if the number of genes doubles: least squares of the
+    #: logarithms. NaN if an arm and its reference never reach the threshold.
+    per_doubling: Estimate
+
+
+def find_trends(config: StudyConfig, runs: Runs, threshold: Threshold, rows: list[Times]) -> list[Trend]:
+    """Return the trends over arms that differ from their references in the prior only.
+
+    Args:
+        config: the study.
+        runs: finished runs by arm.
+        threshold: distance to reach.
+        rows: times of the arms to this threshold.
+    """
+    found: dict[str, list[tuple[int, str, Estimate]]] = {}
+    for row in rows:
+        arm, base = config.arms[row.arm], config.arms[config.reference_of(row.arm)]
+        if row.speed_up is None or not (
+            isinstance(arm, EvolutionArm) and isinstance(base, EvolutionArm)
+        ):
+            continue
+        run = arm.config
+        if replace(run, prior=base.config.prior) == base.config:
+            name = f"prior {run.prior}, genome {run.genome}, timing {run.timing}"
+            found.setdefault(name, []).append((len(run.encoding.genes), row.arm, row.speed_up))
+    trends = []
+    for name, robots in found.items():
+        genes, arms, speed_ups = zip(*sorted(robots), strict=True)
+        if len(set(genes)) > 1:
+            per_doubling = _fit(config, runs, threshold, genes, arms)
+            trends.append(Trend(name, genes, speed_ups, per_doubling))
+    return trends
+
+
+def _fit(
+    config: StudyConfig, runs: Runs, threshold: Threshold, genes: tuple[int, ...], arms: tuple[str, ...]
+) -> Estimate:
+    pairs = [(runs[arm], runs[config.reference_of(arm)]) for arm in arms]
+    functions = [speed_up_function(threshold, *pair, budget_s=config.budget_s) for pair in pairs]
+    x = np.log2(genes)
+
+    def per_doubling(*rows: Rows) -> float:
+        ratios = [f(rows[2 * i], rows[2 * i + 1]) for i, f in enumerate(functions)]
+        if np.isnan(ratios).any():
+            return float("nan")
+        y = np.log2(np.clip(ratios, 1 / _LARGEST, _LARGEST))
+        return float(2.0 ** (np.dot(x - x.mean(), y) / np.dot(x - x.mean(), x - x.mean())))
+
+    return statistics.bootstrap(per_doubling, *(indices(group) for pair in pairs for group in pair))

@@ -1,0 +1,63 @@
+"""Speed-ups of artificial robots with different numbers of genes follow a known power of the number."""
+
+import numpy as np
+import polars
+import pytest
+
+from evolution.study.analysis import analyse, summarize
+from evolution.study.config import StudyConfig
+from evolution.study.results import Results
+
+
+def course(arm, evaluations):
+    """Return five runs that reach 90 mm after a number of evaluations of 10 s."""
+    rows = {
+        "arm": arm, "evaluation": np.arange(40), "generation": np.arange(40) // 4, "failure": "ok",
+        "stopped": False, "simulated_s": 10.0, "distance_m": 0.09 * (np.arange(40) >= evaluations - 1),
+    }  # fmt: skip
+    return polars.concat(polars.DataFrame(rows).with_columns(seed=seed) for seed in range(5))
+
+
+def compare(evaluations):
+    """Compare robots with 4 and 8 segments; `evaluations` has those of each arm to 90 mm."""
+    arms = {
+        f"{count}-{prior}": {"prior": prior, "physics": {"num_segments": count}}
+        for count in (8, 4)
+        for prior in ("uniform", "body")
+    }
+    config = StudyConfig.from_dict(
+        {
+            "seeds": list(range(5)), "budget_s": 400, "thresholds_m": [0.05, 0.09],
+            "arms": {**arms, "other": {"optimizer": "random"}}, "reference": "4-uniform",
+            "references": {"4-body": "4-uniform", "8-body": "8-uniform", "other": "4-uniform"},
+        }
+    )  # fmt: skip
+    table = polars.concat([course(arm, count) for arm, count in evaluations.items()])
+    return analyse(config, Results(table, []))
+
+
+def test_speed_ups_of_2_and_4_give_a_power_law(few_draws):
+    found = compare({"4-uniform": 20, "4-body": 10, "8-uniform": 40, "8-body": 10, "other": 5})
+    (trend,) = found.trends
+    assert trend.genes == (20, 36)
+    assert [estimate.value for estimate in trend.speed_ups] == pytest.approx([2.0, 4.0])
+    assert trend.per_doubling == pytest.approx([2 ** (1 / np.log2(36 / 20))] * 3)
+    assert summarize(found)[-1] == (
+        "prior body, genome shared, timing on-off: the ratio of expected running times changes by a "
+        "factor of 2.26 (2.26 to 2.26) when the number of genes doubles (20 to 36 genes)."
+    )
+
+
+def test_robot_that_never_arrives_bounds_the_trend(few_draws):
+    (trend,) = compare({"4-uniform": 20, "4-body": 20, "8-uniform": 99, "8-body": 10}).trends
+    assert trend.speed_ups[1].value == np.inf
+    assert trend.per_doubling.value == pytest.approx(100 ** (1 / np.log2(36 / 20)))
+
+
+def test_trend_is_unknown_if_both_arms_of_a_robot_never_arrive(few_draws):
+    (trend,) = compare({"4-uniform": 20, "4-body": 20, "8-uniform": 99, "8-body": 99}).trends
+    assert np.isnan(trend.per_doubling.value)
+
+
+def test_one_robot_has_no_trend(few_draws):
+    assert compare({"4-uniform": 20, "4-body": 20, "other": 10}).trends == []
