@@ -1,4 +1,4 @@
-"""Array types of the project, and compiled functions of arrays."""
+"""Array types of the project, and a decorator that compiles functions of arrays with Numba."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 
 def select(rows: Rows, size: int) -> Rows | slice:
-    """Return `rows` as an index of arrays with `size` rows, or a slice if it selects all rows in order.
+    """Return `rows`, or a slice if `rows` selects all of `size` rows in ascending order.
 
-    NumPy takes several times as long with an array of indices as with a slice. A slice gives views.
+    Indexing with a slice is several times faster than with an array of indices, and returns views.
 
     Args:
         rows: indices without repetitions, (R,).
@@ -32,7 +32,7 @@ def select(rows: Rows, size: int) -> Rows | slice:
 
 
 def compiled(function: _F) -> _F:
-    """Return a function that Numba compiles at its first call, or reads from its cache.
+    """Return a version of `function` that Numba compiles, or loads from its cache, at the first call.
 
     Use this for loops over numbers. Do not call trigonometric functions: their last bits depend on the
     library. Numba compiles again if the module changes, but not if another module changes, so do not use

@@ -209,7 +209,7 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
 
 
 def _scalars(info: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return the values of the only robot."""
+    """Convert the info of a single robot from arrays to scalars."""
     scalars: dict[str, Any] = {
         key: value.item() if value.ndim == 1 else value[0] for key, value in info.items()
     }

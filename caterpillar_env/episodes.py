@@ -36,7 +36,7 @@ Step = tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], d
 _NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # NumPy compares enum members slowly
 #: Bound of every entry of an observation. Entries of healthy robots have a magnitude of about one.
 OBSERVATION_LIMIT = 1000.0
-#: With a reset noise of 1, hinges are displaced by up to 1 rad and axial joints by up to this much.
+#: Maximum displacement of axial joints for a `reset_noise_scale` of 1, m. For hinges, it is 1 rad.
 _AXIAL_NOISE_M = 0.01
 
 
@@ -83,7 +83,7 @@ class Episodes:
         self._limit = count_steps(config.episode_s, CONTROL_INTERVAL_S, "episode_s")
         if config.max_episode_steps:
             self._limit = min(self._limit, config.max_episode_steps * self._step_intervals)
-        # In timing and phase mode, steps always start at phase zero, so it is not observed.
+        # In timing and phase mode, steps always start at phase zero, so the phase is not observed.
         self._clock_s = None if periodic else config.gait_period_s
         self._scaled_bodies = np.zeros((len(bodies), len(NAMES)))  # in [-1, 1], as observed
         self._intervals = np.zeros(len(bodies), dtype=np.int64)  # since reset
@@ -308,7 +308,7 @@ class Episodes:
 
 
 class WithSpec:
-    """Environment whose specification has the number of steps in an episode."""
+    """Mixin that adds the maximum number of steps in an episode to the environment's `spec`."""
 
     _episodes: Episodes
     _spec: EnvSpec | None = None
@@ -326,7 +326,7 @@ class WithSpec:
 
 
 def make_generator(state: dict[str, Any] | None) -> np.random.Generator | None:
-    """Return a random generator with a state from `EpisodeState.generators`."""
+    """Create a random generator from an entry of `EpisodeState.generators`; None stays None."""
     if state is None:
         return None
     generator = np.random.Generator(np.random.PCG64())

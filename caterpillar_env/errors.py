@@ -1,4 +1,4 @@
-"""Errors that a caller can fix, and the checks of values that raise them.
+"""Errors that a caller can fix, and functions that check values and raise such errors.
 
 Each message states the expected value, the given value and a fix.
 """
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 T = TypeVar("T")
 
-_LONGEST = 1000  # characters of a message
+_LONGEST = 1000  # maximum number of characters in a message
 _TYPES: dict[Any, tuple[Any, str]] = {
     bool: ((bool, np.bool_), "true or false"), str: (str, "a string"), Mapping: (Mapping, "a mapping")
 }  # fmt: skip
@@ -66,7 +66,7 @@ def check_choice(name: str, value: Any, choices: Any) -> None:
 
 def to_number(value: Any) -> int | float | None:
     """Return a finite number as a Python number, or None for other values, such as True or 10**400."""
-    # NumPy's time differences are integers.
+    # `np.timedelta64` is a subclass of `np.integer`.
     if isinstance(value, (bool, np.timedelta64)) or not isinstance(
         value, (int, float, np.integer, np.floating)
     ):
@@ -106,13 +106,14 @@ def check_number(
 
 
 def check_fields(instance: Any, bounds: Mapping[str, tuple[float, float]] | None = None) -> None:
-    """Check the types of a dataclass's fields. NumPy's scalars become Python's, and lists become tuples.
+    """Check the fields of a dataclass. NumPy scalars become Python scalars, and lists become tuples.
 
-    This checks numbers, `Literal` choices, strings, booleans, mappings, dataclasses, tuples of these (of
-    any length), and None where it is allowed. Other fields are not checked.
+    The types and bounds of numbers, `Literal` choices, strings, booleans, mappings, dataclasses and
+    tuples of these (of any length) are checked. None is accepted where the annotation allows it. Fields
+    of other types are not checked.
 
     Args:
-        instance: the dataclass; this is called from its `__post_init__`.
+        instance: an instance of the dataclass. Call this function in `__post_init__`.
         bounds: smallest and largest valid number, by name of the field.
 
     Raises:
@@ -163,7 +164,7 @@ def to_array(value: Any) -> NDArray[np.float64] | None:
 
 
 def show(value: Any) -> str:
-    """Return the `repr` of a value, or its type if that fails, as for integers of 5000 digits."""
+    """Return the `repr` of a value, or its type if `repr` fails (e.g. integers with 5000 digits)."""
     try:
         return repr(value)
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""Writing files atomically, reading them with clear errors, and making new folders."""
+"""Write files atomically, read them with clear error messages, and create folders."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 ELSEWHERE = "choose another place with --out"
-#: Advice for files whose place is fixed.
+#: Advice for files whose location is fixed.
 COPY = "free some space, or copy the folder to a writable place"
 
 

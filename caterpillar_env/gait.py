@@ -1,8 +1,9 @@
 """Gaits: periodic on and off times of the power to each spring (Saunders 2009, section III).
 
-Springs are numbered gap by gap from the head, four to a gap: dorsal left, dorsal right, ventral left,
-ventral right. A *pair* is the left and the right spring at one height: pair 2g is the dorsal pair of
-gap g, and pair 2g + 1 is its ventral pair.
+A *gap* is the space between two segments, counted from the head. Springs are numbered gap by gap. Each
+gap has four: dorsal left, dorsal right, ventral left, ventral right. A *pair* consists of the left and
+the right spring of a gap at the same height. Gap g, counted from 0, has the dorsal pair 2g and the
+ventral pair 2g + 1.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ GAIT_PERIOD_S = 5.0
 SPRINGS_PER_GAP = 4
 PAIRS_PER_GAP = 2
 MAX_STEPS = 1_000_000  #: largest number of steps in a duration, see `count_steps`
-MAX_DUTY = 0.95  #: largest duty, as a share of the period; a spring that is always on never moves
+MAX_DUTY = 0.95  #: maximum duty cycle; a spring that is always powered stays contracted
 
 
 def spring_names(num_segments: int) -> list[str]:
@@ -37,14 +38,14 @@ def pair_names(num_segments: int) -> list[str]:
 
 @dataclass(frozen=True)
 class GaitTimings:
-    """On and off times of any number of springs with a common period.
+    """On and off times of springs, or of left-right pairs, with a common period.
 
     A spring is powered from `on_s` to `off_s`. If `off_s` < `on_s`, the powered time continues past the
     end of the period. If both are equal, the spring is never powered.
 
     Args:
         period_s: gait period, s.
-        on_s: switch-on times, s, in [0, period_s], shape (..., springs).
+        on_s: switch-on times, s, in [0, period_s], shape (..., springs) or (..., pairs).
         off_s: switch-off times, s, in [0, period_s], same shape.
 
     Raises:
@@ -105,9 +106,9 @@ class GaitTimings:
             delay: delay of each pair, shape (..., pairs).
             duty: powered share of the period, in [0, `MAX_DUTY`], same shape.
             period_s: gait period, s.
-            springs: whether the values are those of springs, shape (..., springs), instead of pairs.
-                The delay of a left spring is that of its pair. The delay of a right spring counts from
-                the left spring of the same pair.
+            springs: whether `delay` and `duty` have a value for each spring, shape (..., springs),
+                instead of each pair. The delay of a left spring counts as for a pair. The delay of
+                a right spring counts from the left spring of the same pair.
         """
         sides = SPRINGS_PER_GAP // PAIRS_PER_GAP if springs else 1
         phase = np.array(delay, dtype=np.float64).reshape(*delay.shape[:-1], -1, PAIRS_PER_GAP, sides)
@@ -121,7 +122,7 @@ class GaitTimings:
         """Return delays and duties, as shares of the period in [0, 1), (..., n); see `from_phases`.
 
         Args:
-            springs: whether these timings are those of springs, instead of pairs.
+            springs: whether the timings have a value for each spring, instead of each pair.
         """
         sides = SPRINGS_PER_GAP // PAIRS_PER_GAP if springs else 1
         on = (self.on_s / self.period_s).reshape(*self.on_s.shape[:-1], -1, PAIRS_PER_GAP, sides)
@@ -145,12 +146,12 @@ class GaitTimings:
         return GaitTimings(self.period_s, self.on_s[rows], self.off_s[rows])
 
     def mirrored(self) -> GaitTimings:
-        """Give both springs of each pair the times of the pair: (..., pairs) becomes (..., springs)."""
+        """Return timings of springs, (..., springs), from timings of pairs, (..., pairs)."""
         on_s, off_s = np.repeat([self.on_s, self.off_s], SPRINGS_PER_GAP // PAIRS_PER_GAP, axis=-1)
         return GaitTimings(self.period_s, on_s, off_s)
 
     def of_springs(self, num_springs: int) -> GaitTimings:
-        """Return the timings of all springs. `self` holds those of the springs or of mirrored pairs.
+        """Return the timings of all springs. Timings of pairs apply to both springs of each pair.
 
         Raises:
             CaterpillarError: the number of times matches neither the springs nor the pairs.

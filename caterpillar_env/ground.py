@@ -1,7 +1,7 @@
 """The ground of a world, its load sensors, and the clearance of the robot above it.
 
-The ground exists twice, once for the feet and once for the skin, so that MuJoCo sums the loads of feet
-and skin separately.
+The *skin* consists of the ellipsoids of all elements. The ground exists twice, once for the feet and
+once for the skin, so that MuJoCo sums the loads on feet and skin separately.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from caterpillar_env.worlds import FIRST_STEP_M, Patches, Rough, Steps, World
 FOOT, SKIN = 1, 2
 #: Initial depth of the feet in the ground. All feet then touch it despite rounding errors.
 STANCE_M = 1e-9
-#: Clearance below which pictures and replays mark a part as touching the ground.
+#: Clearance below which images and replays mark a foot or an element as touching the ground.
 TOUCHING_M = 1e-4
-#: Priorities; that of the ground is 0. MuJoCo uses the friction of the geom with the higher priority.
+#: Priorities of geoms. Ground without tiles has priority 0. In a contact, MuJoCo uses the friction of
+#: the geom with the higher priority.
 TILE, ROBOT = 2, 1
 _LAYERS = {"ground": FOOT, "ground_skin": SKIN}
 _FORCE = 1 << mujoco.mjtConDataField.mjCONDATA_FORCE.value
@@ -38,7 +39,7 @@ def add_ground(spec: mujoco.MjSpec, world: World) -> list[mujoco.MjsGeom]:
     for name, bit in _LAYERS.items():
         parts = _make_parts(spec, world, bit)
         is_plane = len(parts) == 1
-        # A contact sensor takes one geom or one body.
+        # A contact sensor refers to one geom or one body, so several geoms need a body of their own.
         body = spec.worldbody if is_plane else spec.worldbody.add_body(name=name)
         for number, part in enumerate(parts):
             geom = body.add_geom(
@@ -55,7 +56,7 @@ def add_ground(spec: mujoco.MjSpec, world: World) -> list[mujoco.MjsGeom]:
 
 
 def _make_parts(spec: mujoco.MjSpec, world: World, bit: int) -> list[dict[str, Any]]:
-    """Return the attributes of the geoms of a layer of the ground."""
+    """Return the geom attributes of one layer of the ground, which has the contact bit `bit`."""
     if isinstance(world, Rough):
         return _make_rough(spec, world)
     if isinstance(world, Steps):
@@ -136,7 +137,7 @@ def half_axes_m(model: mujoco.MjModel) -> Array:
 def clearances_m(world: World, positions_m: Any, matrices: Any, half_axes_m: Any) -> Array:
     """Return the height of each ellipsoid above the ground.
 
-    On uneven ground, this is the height above the plane that touches the ground below the centre of the
+    On uneven ground, this is the height above the tangent plane of the ground below the centre of the
     ellipsoid.
 
     Args:

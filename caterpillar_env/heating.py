@@ -1,4 +1,4 @@
-"""Thermal states of the springs of many robots, as controls of the physics steps."""
+"""Thermal states of the springs of many robots, and the MuJoCo controls computed from them."""
 
 from __future__ import annotations
 

@@ -45,13 +45,13 @@ def build_model(body: Body, physics: Physics, *, scenery: bool = True) -> mujoco
 
     Args:
         body: one morphology, or one per segment. All segments stand on their feet. If the axes of two
-            segments differ in height, the neck is halfway between them.
+            segments differ in height, the neck is halfway between the two axes.
         physics: material, numerics and number of segments.
         scenery: whether to add cameras, light, ground texture, ruler and legs for drawing. They cause
             most of the build time and memory use.
 
     Returns:
-        A model whose sizes depend only on `physics.num_segments`. Bodies are `element0` (head) to
+        A model whose array sizes do not depend on `body`. Bodies are `element0` (head) to
         `element{2N-1}`. Tendons and actuators are named by `gait.spring_names`. The control is the
         austenite fraction, in [0, 1].
     """
@@ -254,7 +254,7 @@ def trim_tendons(model: mujoco.MjModel) -> None:
     Trimming makes a step more than twice as fast.
     """
     ends = np.sort(model.site_bodyid[model.wrap_objid].reshape(-1, 2), axis=1)
-    inside = np.searchsorted(model.dof_bodyid, ends, side="right")  # first and last joint index
+    inside = np.searchsorted(model.dof_bodyid, ends, side="right")  # first degree of freedom, last + 1
     for tendon, (first, last) in enumerate(inside.tolist()):
         address = model.ten_J_rowadr[tendon]  # rows keep their address and become shorter
         model.ten_J_colind[address : address + last - first] = range(first, last)
@@ -262,7 +262,7 @@ def trim_tendons(model: mujoco.MjModel) -> None:
 
 
 def _neck_offset(ahead: Morphology, behind: Morphology) -> list[float]:
-    """Return the offset from the last element of a segment to the first of the segment behind it, m."""
+    """Return the offset from the rear element of a segment to the front element of the next, m."""
     length = (ahead.segment_length_m + behind.segment_length_m) / 4
     return [-length, 0.0, 2 * behind.segment_radius_m - 2 * ahead.segment_radius_m]
 

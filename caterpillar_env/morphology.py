@@ -49,8 +49,8 @@ class Morphology:
     """The eight parameters of a segment, or of a body of identical segments.
 
     As in the paper, x is longitudinal, y vertical and z lateral. `attachment_x_m` is measured from the
-    centre of a legged element, away from the neighbour that the spring is attached to. A spring
-    therefore has the length L + 2x in a straight body.
+    centre of a legged element, in the direction away from the legged element at the other end of the
+    spring. A spring therefore has the length L + 2x in a straight body.
 
     Raises:
         CaterpillarError: a value is not a number within its bounds (see `PARAMETERS`).
@@ -58,7 +58,7 @@ class Morphology:
 
     leg_separation_m: float = PARAMETERS[0].nominal  #: lateral separation of the feet, m
     segment_length_m: float = PARAMETERS[1].nominal  #: length of one segment, m
-    segment_radius_m: float = PARAMETERS[2].nominal  #: radius of one element (half a segment), m
+    segment_radius_m: float = PARAMETERS[2].nominal  #: radius of an element, m; two per segment
     segment_mass_kg: float = PARAMETERS[3].nominal  #: mass of one segment, kg
     joint_limit_rad: float = PARAMETERS[4].nominal  #: limit of the revolute joints, rad
     #: longitudinal distance of a spring's attachment from the centre of its element, m
@@ -102,7 +102,7 @@ class Morphology:
 
     @classmethod
     def from_unit(cls, unit: Array) -> Morphology:
-        """Return the morphology of `unit`, shape (8,), where 0 and 1 are the bounds."""
+        """Create a morphology from values scaled to [0, 1] by their bounds, shape (8,)."""
         return cls(*np.clip(LOWER + unit * (UPPER - LOWER), LOWER, UPPER).tolist())
 
     def to_array(self) -> Array:
@@ -131,7 +131,7 @@ def segments_of(body: Body, num_segments: int) -> tuple[Morphology, ...]:
     """Return the morphology of each segment, from head to tail.
 
     Raises:
-        CaterpillarError: `body` is a tuple of another length than `num_segments`.
+        CaterpillarError: `body` is a tuple whose length is not `num_segments`.
     """
     if isinstance(body, Morphology):
         return (body,) * num_segments

@@ -63,12 +63,12 @@ class Physics:
     #: linear stiffness of a neck, the hinge between two segments, N m/rad; silicone (Dragon Skin 10)
     neck_stiffness_n_m_rad: float = 6e-3
     neck_stiffening: float = 5.0  #: cubic moment of a neck at its limit, relative to the linear moment
-    neck_damping_n_m_s_rad: float = 2e-4  #: neck damping, N m s/rad, by silicone, coils and anchors
+    neck_damping_n_m_s_rad: float = 2e-4  #: neck damping, N m s/rad, of silicone, coils and anchors
     axial_stiffness_n_m: float = 500.0  #: stiffness of the prismatic joint in a segment, N/m
     axial_damping_n_s_m: float = 1.0  #: damping of the prismatic joint, N s/m
     axial_range: float = 0.15  #: travel of the prismatic joint each way, relative to the segment length
     bend_ratio: float = 2.0  #: stiffness and damping of the intra-segment hinge, relative to a neck
-    bend_axis: BendAxis = "yaw"  #: axis of the intra-segment hinge; yaw is our choice
+    bend_axis: BendAxis = "yaw"  #: axis of the intra-segment hinge; the paper does not specify it
     friction: float = 0.8  #: friction coefficient of feet and elements on the ground
     mismatch_std: float = 0.05  #: standard deviation of the spring-force factors
     mismatch_seed: int = 0  #: random seed of the spring-force factors

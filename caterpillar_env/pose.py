@@ -15,8 +15,9 @@ from caterpillar_env.arrays import Array, Rows, compiled
 class Pose:
     """Positions of R robots, in the world frame and SI units: the inputs of the failure check.
 
-    After a step, all fields except the time refer to the start of the last physics step (2.5 ms earlier
-    by default), as in Gymnasium's MuJoCo environments. Updating them would make every step 3 % slower.
+    After a step, all fields except `time_s` and `load_n` refer to the start of the last physics step
+    (2.5 ms earlier by default), as in Gymnasium's MuJoCo environments. Updating them would make every
+    step 3 % slower.
     """
 
     time_s: Array  #: simulated time since reset, (R,)
@@ -24,14 +25,14 @@ class Pose:
     up: Array  #: mean upward axis of the elements, (R, 3)
     forward: Array  #: mean forward axis of the elements, (R, 3)
     clearance_m: Array  #: height of the lowest point of feet and elements above the ground, (R,)
-    load_n: Array  #: vertical load on feet and skin, mean over the last control interval, (R, 2)
+    load_n: Array  #: vertical load on feet and on elements, mean over the last control interval, (R, 2)
 
 
 @dataclass(frozen=True)
 class BodyState(Pose):
     """Positions and velocities of R robots with J internal joints.
 
-    `velocity` refers to the same time as the pose. Joints and springs are up to date.
+    `velocity` refers to the same time as the positions. Joints and springs refer to the end of the step.
     """
 
     velocity: Array  #: mean velocity (3) and mean angular velocity (3) of the elements, (R, 6)
@@ -60,7 +61,7 @@ class SimulationState(NamedTuple):
     fraction: Array  #: austenite fraction of the springs, (R, num_springs)
     steps: NDArray[np.int64]  #: thermal steps since reset, (R,)
     energy_j: Array  #: electrical energy since reset, (R,)
-    load_n: Array  #: vertical load on feet and skin, mean of the last interval, (R, 2)
+    load_n: Array  #: mean vertical load on the feet and on the elements in the last interval, (R, 2)
 
 
 @compiled
@@ -80,7 +81,7 @@ def mean_velocity(
     """Return the mean linear and angular velocity of the bodies `first` to `last - 1`, (R, 6).
 
     Args:
-        rows: indices of the robots, (R,).
+        rows: indices of R of the B robots in the simulation, (R,).
         spatial: angular velocity, and linear velocity of the body at `com_m`, (B, bodies, 6).
         positions_m: positions of the bodies, (B, bodies, 3).
         com_m: centre of mass of each of these robots, (R, 3).
@@ -116,8 +117,8 @@ def turn(rows: Rows, direction: Array, vectors: Array) -> Array:
     """Return the components of vectors along and across a direction, (R, 2).
 
     Args:
-        rows: indices of the robots, (R,).
-        direction: cosine and sine, (B, 2).
+        rows: indices of R of the B robots in the simulation, (R,).
+        direction: cosine and sine of the direction of each of the B robots, (B, 2).
         vectors: vector of each of these robots, (R, 2 or more).
     """
     turned = np.empty((len(rows), 2))

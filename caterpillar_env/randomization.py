@@ -1,7 +1,7 @@
 """Domain randomization of friction, actuator mismatch, mass and air temperature at each reset.
 
-`Randomization` holds the ranges and `Conditions` one sample. `apply_conditions` applies a sample to a
-model.
+`Randomization` holds the ranges, and `Conditions` holds one sample. `apply_conditions` applies a sample
+to a model.
 """
 
 from __future__ import annotations
@@ -110,9 +110,9 @@ _BOUNDS = {
 
 
 def apply_conditions(model: mujoco.MjModel, physics: Physics, conditions: Conditions) -> mujoco.MjModel:
-    """Return a copy of `model` with `conditions`, except the temperature of the air."""
+    """Return a copy of `model` with `conditions` applied, except the air temperature."""
     changed = copy.copy(model)
-    tiles = changed.geom_priority == TILE  # their friction is relative to that of the robot
+    tiles = changed.geom_priority == TILE  # a tile's friction is a multiple of the robot's
     changed.geom_friction[tiles, 0] *= conditions.friction / (physics.friction or 1.0)
     changed.geom_friction[~tiles, 0] = conditions.friction
     changed.geom_condim[:] = condim(conditions.friction)

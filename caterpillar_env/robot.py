@@ -1,4 +1,4 @@
-"""Robots with body, gait and physics, and the outcomes of their simulation for 30 s."""
+"""Robots (body, gait and physics), and the outcomes of simulating them for 30 s."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Outcomes(NamedTuple):
         return Outcomes(*(column[rows] for column in self))
 
     def fitness(self) -> Array:
-        """Return the distance in m, at least 0, or 0 for a failed robot, (P,)."""
+        """Return the distance in m, or 0 for robots that fail or move backwards, (P,)."""
         return np.where(self.failure == Failure.NONE, np.maximum(self.distance_m, 0.0), 0.0)
 
 
@@ -62,7 +62,7 @@ def simulate(
     on_interval: OnInterval | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Outcomes:
-    """Simulate P robots, each until it fails.
+    """Simulate P robots, each until it fails or `duration_s` has passed.
 
     Args:
         bodies: body of each robot.
@@ -86,14 +86,14 @@ def follow(
     on_interval: OnInterval | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Advance the robots of a `Crawl` with periodic gaits, until a time since their reset.
+    """Advance the robots of a `Crawl` with periodic gaits, until `end_s` after their reset.
 
     Args:
         crawl: P robots. All that have not failed must be at the same simulated time.
         timings: see `simulate`.
-        end_s: time until which to simulate, s, a multiple of 0.1 s.
+        end_s: simulated time at which to stop, counted from the reset, s, a multiple of 0.1 s.
         on_interval: see `simulate`.
-        on_progress: function to call with the simulated share of this time, in [0, 1].
+        on_progress: function to call with the completed share of this call, in [0, 1].
     """
     count_steps(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
     power = timings.of_springs(crawl.physics.num_springs).power(SMA_STEP_S)
@@ -108,11 +108,12 @@ def repeat(
     on_interval: OnInterval | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> None:
-    """Advance the robots of a `Crawl` with power that repeats, until a time since their reset.
+    """Advance the robots of a `Crawl` with periodic power, until `end_s` after their reset.
 
     Args:
         crawl: see `follow`.
-        power: power of one period, which starts at the reset, (P, steps, springs); see `Crawl.run`.
+        power: power over one period, (P, steps, springs), see `Crawl.run`. The first period starts at
+            the reset.
         end_s: see `follow`.
         on_interval: see `simulate`.
         on_progress: see `follow`.
@@ -151,13 +152,13 @@ class AnyRobot(Protocol):
         """Hash that identifies the robot."""
 
     def simulate(self, *, on_interval: OnInterval | None = None) -> Outcomes:
-        """Simulate the robot; see `simulate`."""
+        """Simulate the robot; for `on_interval`, see the function `simulate`."""
 
     def with_physics(self, **changes: Any) -> Self:
         """Return a copy of the robot with changed fields of `Physics`."""
 
     def save(self, path: Path) -> None:
-        """Write the robot as JSON. A policy also writes its weights beside that file."""
+        """Write the robot as JSON. For a trained policy, also write the weights next to this file."""
 
 
 @dataclass(frozen=True)
@@ -175,7 +176,7 @@ class Robot:
         check_fields(self)
 
     def simulate(self, **kwargs: Any) -> Outcomes:
-        """Simulate the robot. For the keywords, see `simulate`."""
+        """Simulate the robot. For the keyword arguments, see the function `simulate`."""
         return simulate([self.morphology], self.timings[None], self.physics, **kwargs)
 
     def with_physics(self, **changes: Any) -> Robot:
@@ -183,7 +184,7 @@ class Robot:
         return replace(self, physics=replace(self.physics, **changes))
 
     def power(self) -> Array:
-        """Return the power of the springs over one gait period, shape (steps of 10 ms, springs)."""
+        """Return the share of the drive power over one gait period, (steps of 10 ms, springs)."""
         return self.timings.of_springs(self.physics.num_springs).power(SMA_STEP_S)
 
     @property

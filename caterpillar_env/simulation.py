@@ -1,4 +1,4 @@
-"""Simulation of robots with different bodies and the same topology on MuJoCo's `Batch`.
+"""Simulation of robots with the same topology and different bodies, with MuJoCo's `Batch`.
 
 No other module steps the physics. A single environment is a batch of one. The vector environment and
 the fitness evaluation use larger batches. The trajectory of a robot is bitwise identical in all of them,
@@ -121,7 +121,7 @@ class Simulation:
         *,
         conditions: Sequence[Conditions | None] | None = None,
     ) -> None:
-        """Return robots to the start: straight along x, at rest and with cold springs.
+        """Reset robots to the initial state: straight along x, at rest and with cold springs.
 
         Args:
             bodies: new body of each of these robots. By default, bodies do not change.
@@ -196,7 +196,7 @@ class Simulation:
         return SimulationState(*(field[index] for field in self._state_fields()))
 
     def set_state(self, state: SimulationState, rows: Rows | None = None) -> None:
-        """Set the state of robots. Their bodies and conditions must be those at `get_state`.
+        """Set the state of robots. Bodies and conditions must be the same as in `get_state`.
 
         Args:
             state: state of R robots.

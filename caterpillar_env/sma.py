@@ -27,10 +27,10 @@ from caterpillar_env.errors import CaterpillarError, check_fields
 
 #: Number of temperatures at which each branch is tabulated.
 NODES = 1025
-_PERIODS = 11  #: periods after which temperatures repeat
+_PERIODS = 11  #: number of periods until the temperatures are periodic
 _TEMPERATURES = (-273.15, 2000.0)
-#: Bounds of the parameters, at least a factor of 100 beyond plausible values. The simulation could
-#: overflow outside the bounds.
+#: Bounds of the parameters. Most are at least a factor of 100 beyond plausible values. Outside the
+#: bounds, the simulation could overflow.
 BOUNDS = {
     "wire_diameter_m": (1e-6, 0.02),
     "coil_diameter_m": (4e-6, 0.05),
@@ -267,9 +267,9 @@ def _integrate(
         inflow: increase of H by the surrounding air in a step, (N,).
         power: commanded share of the drive power in each step, (K, N).
         branches: see `SmaSpring.branches`.
-        gain: increase of H at full power.
-        kept: factor on H.
-        released: factor on xi.
+        gain: increase of H in a step at full power.
+        kept: coefficient of H in the update of H.
+        released: coefficient of xi in the update of H.
         cut_off: H at the cut-off.
 
     Returns:
@@ -300,9 +300,9 @@ def _integrate(
 
 
 def settle(spring: SmaSpring, power: Array, step_s: float) -> SmaSteps:
-    """Repeat a period until the temperatures repeat, and return its last repetition.
+    """Simulate a periodic power, starting cold, and return the last period.
 
-    For the arguments, see `advance`; `power` covers one period.
+    The temperatures are periodic by then. For the arguments, see `advance`; `power` covers one period.
     """
     state = SmaState.cold(spring, power.shape[1:])
     for _ in range(_PERIODS):

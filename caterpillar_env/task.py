@@ -22,7 +22,8 @@ from caterpillar_env.pose import Pose, SimulationState, Trace, turn
 from caterpillar_env.randomization import Conditions
 from caterpillar_env.simulation import FREE_QPOS, Simulation
 
-#: Saunders 2009, section IV: distance travelled within 30 s of simulated time.
+#: Length of an episode, s. Saunders 2009, section IV, measures the distance travelled within 30 s of
+#: simulated time.
 EPISODE_S = 30.0
 #: Function to call after each control interval with its trace.
 OnInterval = Callable[[Trace], None]
@@ -38,7 +39,7 @@ class Failure(IntEnum):
     TIPPED = 3  #: on its side, head or tail
     JUMPED = 4  #: no contact with the ground
     VEERED = 5  #: substantially off course
-    SAGGED = 6  #: carried by its body instead of its legs
+    SAGGED = 6  #: its elements, instead of its feet, carry too much of the load
 
     @property
     def label(self) -> str:
@@ -58,14 +59,14 @@ class FailureLimits(NamedTuple):
 
     The paper names the failures but gives no limits; we chose them. `up` is the vertical component
     of the mean upward axis of the elements (1 upright, 0 on its side, -1 on its back). `heading` is the
-    direction of their mean forward axis.
+    direction of the mean forward axis of the elements.
     """
 
     flipped_up: float = -0.5  #: FLIPPED if `up` is lower (a straight robot rolled by 120 degrees)
     tipped_up: float = 0.5  #: TIPPED if `up` is lower (a straight robot rolled by 60 degrees)
     jumped_clearance_m: float = 0.005  #: JUMPED if the lowest point is higher
     veered_heading_rad: float = np.pi / 4  #: VEERED if the heading error is larger
-    veered_lateral_m: float = 0.12  #: VEERED if the lateral displacement is larger (a body length)
+    veered_lateral_m: float = 0.12  #: VEERED if the lateral displacement is larger (nominal body length)
     sagged_share: float = 0.05  #: SAGGED if the mean share of the load on the body is higher
 
 
@@ -84,7 +85,7 @@ def update_failures(
     """Write the failures of R robots into `failure`. Only a divergence replaces an earlier failure.
 
     Args:
-        rows: indices of the robots, (R,).
+        rows: indices of R of the B robots in the simulation, (R,).
         up: mean upward axis of the elements, (R, 3).
         clearance_m: height of the lowest point above the ground, m, (R,).
         lateral_m: displacement of the centre of mass to the left of the goal heading, m, (R,).
@@ -92,7 +93,7 @@ def update_failures(
         body_load: mean share of the load that the body carries, see `Progress`, (R,).
         diverged: whether the integration became unstable, (R,).
         limits: limits beyond which robots fail.
-        failure: values of `Failure`, (B,).
+        failure: failures of all B robots, values of `Failure`, (B,); changed in place.
     """
     for r, row in enumerate(rows):
         if diverged[r]:
@@ -131,7 +132,8 @@ class Progress(NamedTuple):
     lateral_m: Array  #: displacement to the left of the goal heading, (R,)
     heading_rad: Array  #: heading relative to the goal, counter-clockwise, in (-pi, pi], (R,)
     energy_j: Array  #: electrical energy used, (R,)
-    body_load: Array  #: integral of the body's share of the load / max(time, `EPISODE_S`), (R,)
+    #: time integral of the share of the load on the elements, divided by max(time, `EPISODE_S`), (R,)
+    body_load: Array
     failure: NDArray[np.int8]  #: values of `Failure`, (R,)
 
 
@@ -153,7 +155,7 @@ class CrawlState(NamedTuple):
 
     @classmethod
     def join(cls, states: Sequence[CrawlState]) -> CrawlState:
-        """Return the states of all robots of several groups."""
+        """Join the states of several groups of robots."""
         parts: Any = ([state.simulation for state in states], [state[1:] for state in states])
         simulation, others = (
             (np.concatenate(fields) for fields in zip(*part, strict=True)) for part in parts
@@ -207,7 +209,7 @@ class Crawl:
         goal_heading_rad: float = 0.0,
         offset: Array | None = None,
     ) -> None:
-        """Return robots to the start, at rest and cold.
+        """Reset robots to the initial state, at rest and with cold springs.
 
         Args:
             bodies: new body of each of these robots. By default, bodies do not change.
@@ -236,7 +238,7 @@ class Crawl:
         return CrawlState(self.simulation.get_state(index), *fields)
 
     def set_state(self, state: CrawlState, rows: Rows | None = None) -> None:
-        """Set the state of robots. Their bodies and conditions must be those at `get_state`.
+        """Set the state of robots. Bodies and conditions must be the same as in `get_state`.
 
         Args:
             state: state of R robots.

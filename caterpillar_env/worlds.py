@@ -2,7 +2,7 @@
 
 A world is part of `Physics`. Robots start with the head at the origin and crawl along x. On a slope,
 gravity is tilted and the ground stays at z = 0. All positions and directions are relative to the ground.
-Worlds with random features are drawn from a seed, and are the same on every machine.
+Random features are generated from a seed, and are the same on every machine.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from caterpillar_env.arrays import Array
 from caterpillar_env.errors import CaterpillarError, check_fields, from_mapping, show
 
-#: Extent of steps and rough ground along x and y, m. The ground beyond is level.
+#: Extent of rough ground along x and y, m. Steps end before the upper limit of x. The ground outside
+#: this range is level.
 EXTENT_X_M, EXTENT_Y_M = (-0.6, 1.2), (-0.3, 0.3)
-#: Extent of the tiles. Those at the edge reach to infinity.
+#: Extent of the tiles along x and y, m. Tiles at the edge are extended to 5 m from the origin.
 TILES_X_M, TILES_Y_M = (-0.2, 0.7), (-0.15, 0.15)
 #: Position of the first step, just in front of the head, m.
 FIRST_STEP_M = 0.02
@@ -41,12 +42,12 @@ _BOUNDS = {
 _STEEPEST = 8  # smallest ratio of wavelength to amplitude; the steepest ground is then near 45 degrees
 _CELLS = 8  # height samples per wavelength
 _LARGEST_CELL_M = 0.01
-_ROUGH, _PATCHES = 0x52, 0x50  # random streams
+_ROUGH, _PATCHES = 0x52, 0x50  # spawn keys of the random streams
 
 
 @dataclass(frozen=True)
 class World:
-    """Base class of worlds; make one with a subclass, or with `World.of`.
+    """Base class of worlds. To create a world, use a subclass or `World.of`.
 
     Raises:
         CaterpillarError: a value has the wrong type or is out of range.
@@ -167,7 +168,7 @@ class HeightField(NamedTuple):
 class Rough(World):
     """Smooth random bumps: a cubic B-spline through random heights, half a wavelength apart."""
 
-    amplitude_m: float = 0.003  #: largest height above or depth below the mean, 0.1 to 10 mm
+    amplitude_m: float = 0.003  #: largest height above or depth below z = 0, 0.1 to 10 mm
     wavelength_m: float = 0.06  #: twice the distance between random heights, 20 mm to 1 m
     seed: int = 0  #: random seed of the heights
     kind: Literal["rough"] = field(default="rough", kw_only=True)
@@ -229,7 +230,7 @@ class Patches(World):
             )
 
     def factors(self) -> tuple[Array, Array, Array]:
-        """Return the edges of the tiles along x and y, m, and their factors, (in x, in y)."""
+        """Return the tile edges along x and along y, m, and the factors, (tiles in x, tiles in y)."""
         x, y = (
             np.asarray(low) + self.size_m * np.arange(math.ceil((high - low) / self.size_m) + 1)
             for low, high in (TILES_X_M, TILES_Y_M)
@@ -245,7 +246,7 @@ WORLDS: dict[str, type[World]] = {
 
 
 def _parse(text: str) -> dict[str, Any]:
-    """Return the mapping of a world's text, see `World.of`."""
+    """Convert the text of a world to a mapping, see `World.of`."""
     kind, _, rest = text.partition(":")
     values: dict[str, Any] = {"kind": kind}
     for part in rest.split(",") if rest else ():
@@ -258,7 +259,7 @@ def _parse(text: str) -> dict[str, Any]:
         try:
             values[name.strip().replace("-", "_")] = json.loads(value)
         except ValueError:
-            values[name.strip().replace("-", "_")] = value.strip()  # a word
+            values[name.strip().replace("-", "_")] = value.strip()  # not JSON, such as down
     return values
 
 
@@ -268,7 +269,7 @@ def _generator(stream: int, seed: int) -> np.random.Generator:
 
 @lru_cache(maxsize=16)
 def _height_field(world: Rough) -> HeightField:
-    """Compute heights with sums and products only, so that they are the same on every machine."""
+    """Compute heights with basic arithmetic only, so that they are the same on every machine."""
     cell_m = min(world.wavelength_m / _CELLS, _LARGEST_CELL_M)
     (x_0, x_1), (y_0, y_1) = EXTENT_X_M, EXTENT_Y_M
     columns, rows = round((x_1 - x_0) / cell_m) + 1, round((y_1 - y_0) / cell_m) + 1
@@ -286,7 +287,7 @@ def _height_field(world: Rough) -> HeightField:
 
 
 def _interpolate(nodes: Array, places: NDArray[Any]) -> Array:
-    """Return the uniform cubic B-spline with control points `nodes` (m, n) at places (p,), (p, n)."""
+    """Return values (p, n) of the uniform cubic B-spline with control points (m, n) at places (p,)."""
     first = places.astype(int)
     t = (places - first)[:, None]
     weights = (

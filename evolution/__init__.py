@@ -1,4 +1,4 @@
-"""Evolution of body and gait: the genetic algorithm of Saunders et al. (2009), and others.
+"""Evolve the body and gait of a crawling robot, as in Saunders et al. (2009) or with other optimizers.
 
 The public API::
 

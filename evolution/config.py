@@ -37,21 +37,21 @@ class RunConfig:
         CaterpillarError: a value is out of range.
     """
 
-    seed: int = 0  #: seed of the optimizer; for the forces of the springs, see --mismatch-seed
+    seed: int = 0  #: seed of the optimizer; --mismatch-seed is the seed of the spring-force factors
     generations: int = 50  #: number of generations
     budget_s: float | None = None  #: simulated seconds after which no new generation starts
     target_m: float | None = None  #: distance in m; stop once a robot reaches it without failing
     optimizer: OptimizerName = "ga"  #: ga: the paper's genetic algorithm; shade: differential evolution
-    genome: GenomeKind = "shared"  #: full: gait genes per spring; per-segment: a body per segment
-    timing: Timing = "on-off"  #: gait genes. phase: delays and duties; wave: one lag for all pairs
+    genome: GenomeKind = "shared"  #: full: gait genes per spring; per-segment: body genes per segment
+    timing: Timing = "on-off"  #: gait genes. phase: delays and duties; wave: lag, offset and two duties
     prior: Prior = "body"  #: genes with a distribution from the preprocessor; body: as in the paper
     prior_use: PriorUse = "both"  #: where the GA uses the prior: first generation (init), mutation, both
-    #: misleading prior. mirrored: peaks reflected; shuffled: distributions permuted among the genes
+    #: deliberately misleading prior. mirrored: peaks reflected; shuffled: distributions permuted
     prior_control: Control = "none"
     prior_without: Without = "none"  #: design parameter (K_i) to leave out of the prior
-    #: Prior of a gene on which two design parameters disagree. product: the peak of their product.
+    #: prior of a gene on which two design parameters disagree. product: peak where their product peaks
     contradictions: Contradictions = "uniform"
-    floor_ratio: float = 3.0  #: ratio of the maximum to the minimum density of a preprocessed gene
+    floor_ratio: float = 3.0  #: ratio of the maximum to the minimum density of a Gaussian prior
     clipping: Clipping = "truncated"  #: how a Gaussian is limited to the bounds of its gene
     objective: ObjectiveName = "distance"  #: quantity to maximize: m, or m per J of electrical energy
     failed_fitness: float = 0.0  #: fitness of a robot that fails, in the unit of the objective
@@ -83,7 +83,7 @@ class RunConfig:
                 f"race_periods = {self.race_periods} must be at least 1, and that many gait periods of "
                 f"{self.gait_period_s:g} s must end before the episode, at {EPISODE_S:g} s"
             )
-        # These check the genome, the gait period and the K_i.
+        # This checks the kind of genome, the timing, the gait period and prior_without.
         _ = design_parameters(self.encoding, self.prior, self.prior_without)
 
     @classmethod
@@ -139,7 +139,7 @@ class RunConfig:
         return RandomSearch(first, self.ga.population, self.sampling, rng)
 
     def _predict_advance(self, genomes: Array) -> Array:
-        """Return K_5 for the bodies and gaits of genomes (P, n), m."""
+        """Return the predicted advance K_5 of the robots of genomes (P, n), in m, shape (P,)."""
         bodies, timings = self.encoding.decode(genomes)
         return advance(bodies, timings, self.physics)
 
@@ -177,7 +177,7 @@ class RunConfig:
         return None
 
     def share_done(self, generations: int, simulated_s: float) -> float:
-        """Return the completed share, in [0, 1], of the budget or, without one, of the generations."""
+        """Return the completed share of the budget, or of the generations if none is set, in [0, 1]."""
         if self.budget_s is not None:
             return min(simulated_s / self.budget_s, 1.0)
         return generations / self.generations

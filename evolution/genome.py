@@ -1,20 +1,20 @@
 """The genome: morphology genes, then the gait genes.
 
 A genome is a point in [0, 1]^n, where 0 and 1 are the bounds of a gene in SI units. The kinds of genomes
-(n is for four segments and on-off timing):
+(n holds for four segments and on-off timing):
 
-- `shared`, n = 20: 8 morphology genes for all segments, times of the left-right pairs of springs
-  (Saunders 2009, section III).
-- `full`, n = 32: times of every spring.
-- `per-segment`, n = 44: 8 morphology genes for each segment, times of the pairs.
+- `shared`, n = 20: 8 morphology genes for all segments, and gait genes for each left-right pair of
+  springs (Saunders 2009, section III).
+- `full`, n = 32: like `shared`, but gait genes for every spring.
+- `per-segment`, n = 44: like `shared`, but 8 morphology genes for each segment.
 
 The gait genes depend on the timing:
 
 - `on-off`: the times at which each pair (or spring) is switched on and off, as in the paper.
 - `phase`: delay and duty of each pair (or spring), see `GaitTimings.from_phases`.
-- `wave`: four genes for the whole gait. The dorsal pairs follow each other with one delay (lag), and
-  the ventral pairs follow the dorsal ones with another (offset). Dorsal and ventral pairs have one duty
-  each.
+- `wave`: four genes for the whole gait. Each dorsal pair follows the dorsal pair ahead with the same
+  delay (lag), and each ventral pair follows the dorsal pair above it with the same delay (offset). All
+  dorsal pairs have the same duty, and so have all ventral pairs.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Gene(NamedTuple):
     unit: str
     lower: float
     upper: float
-    parameter: str  #: name without the segment or gap, for design parameters
+    parameter: str  #: name without segment or gap; design parameters refer to it
     circular: bool = False  #: whether the gene wraps around from 1 to 0
 
     @property
@@ -69,13 +69,13 @@ class Gene(NamedTuple):
 
     @property
     def shown(self) -> tuple[float, str]:
-        """The factor that converts values to the unit for display, and this unit: mm, g, ° or %."""
+        """The factor that converts values to the display unit, and this unit, such as mm, g, ° or %."""
         return _DISPLAY_UNITS.get(self.unit, (1.0, self.unit))
 
 
 @dataclass(frozen=True)
 class Encoding:
-    """Maps genomes to robots, each a body with a gait. All have the same physics.
+    """Maps genomes to robots. Each robot has a body and a gait, and all robots have the same physics.
 
     Raises:
         CaterpillarError: the kind or the timing is unknown, the two cannot be combined (`full`
@@ -92,8 +92,8 @@ class Encoding:
         check_choice("timing", self.timing, Timing)
         if self.kind == "full" and self.timing == "wave":
             raise CaterpillarError(
-                "timing = 'wave' has the same genes for all springs, but genome = 'full' has genes for "
-                "every spring; choose timing = 'phase' or genome = 'shared'"
+                "timing = 'wave' has the same genes for all springs, but genome = 'full' has separate "
+                "genes for every spring; choose timing = 'phase' or genome = 'shared'"
             )
         count_steps(self.gait_period_s, CONTROL_INTERVAL_S, "gait_period_s")
 
@@ -190,7 +190,7 @@ class Encoding:
     def _repeat_wave(self, genes: Array) -> Array:
         """Return the genes for the timing `phase`, (P, 2 pairs), from those for `wave`, (P, 4)."""
         phases = np.tile(genes, self.physics.num_segments - 1)
-        phases[:, 0] = 0.0  # the first pair starts the period
+        phases[:, 0] = 0.0  # the first pair is switched on at the start of the period
         return phases
 
     def values(self, genomes: Array) -> Array:
@@ -222,7 +222,7 @@ def _make_duty(name: str) -> Gene:
 
 
 def _find_parameter(name: str) -> str:
-    """Return the parameter that the delay of a pair or spring belongs to."""
+    """Return `Gene.parameter` for the delay gene of a pair or spring."""
     if name.endswith("_right"):
         return "side"
     if "ventral" in name:

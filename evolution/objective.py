@@ -65,10 +65,11 @@ def stopped(outcomes: Outcomes) -> NDArray[np.bool_]:
 
 
 def find_best(objective: Objective, outcomes: Outcomes) -> tuple[int, float] | None:
-    """Return the index of the best of P robots and its objective, or None if no robot qualifies.
+    """Return the index and the objective of the best of P robots, or None if no robot qualifies.
 
-    This is the only definition of "best". Robots that failed or were stopped early do not qualify. With
-    a built-in objective, neither do robots that did not crawl forwards. Ties go to the first robot.
+    This function defines the best robot of a run. Robots that failed or were stopped early do not
+    qualify. With a built-in objective, robots that did not crawl forwards do not qualify either. Ties
+    go to the first robot.
     """
     values = score(objective, outcomes, -np.inf)
     values[stopped(outcomes)] = -np.inf

@@ -15,7 +15,7 @@ from caterpillar_env.sma import SmaSpring
 _COLD = np.array([0.10, 0.35, 0.95])
 _WARM = np.array([0.98, 0.85, 0.20])
 _HOT = np.array([0.92, 0.10, 0.08])
-_LONGEST = "30.0 s    +000 mm    000 J"  # the widest numbers of most robots
+_LONGEST = "30.0 s    +000 mm    000 J"  # as wide as the widest readout of most robots
 _INK, _ALARM, _PANEL = (30, 30, 30), (190, 20, 20), (255, 255, 255, 185)
 
 
@@ -48,7 +48,7 @@ def annotate(frame: NDArray[np.uint8], readout: Readout, spring: SmaSpring) -> N
     font, pad = _font(size), size // 2
     room = image.width - 5 * pad
     legend = _legend(spring, max(10, round(0.8 * size)))
-    if legend.width + font.getlength(_LONGEST) <= room:  # omit it in small frames
+    if legend.width + font.getlength(_LONGEST) <= room:  # omit the legend in small frames
         image.paste(legend, (image.width - legend.width - pad, pad), legend)
         room -= legend.width
     numbers = (

@@ -35,7 +35,7 @@ _SPOT_SIZE_M, _SPOT_HEIGHT_M = np.array([0.005, 0.0002, 0.0]), 0.0006  # radius,
 
 
 class RenderingError(CaterpillarError):
-    """No OpenGL backend works on this machine, or the requested size or camera is invalid."""
+    """Rendering is not possible, for example because no OpenGL backend works on this machine."""
 
 
 def choose_backend() -> str:

@@ -71,7 +71,7 @@ def add_cameras(
 ) -> None:
     """Add the `CAMERAS` by calling `make`, at distances that keep the whole body in view.
 
-    They are turned from z to the direction `up`, so that pictures show how steep a slope is.
+    The cameras are rotated from z to the direction `up`, so that images show how steep a slope is.
     """
     turn = rotation_to(up)
     long_m = length_m(segments)
@@ -114,7 +114,7 @@ def _add_material(spec: mujoco.MjSpec, texture: str, **kwargs: Any) -> None:
 
 
 def _add_ruler(spec: mujoco.MjSpec) -> None:
-    """Add the ruler. The renderer moves its zero mark to the initial centre of mass."""
+    """Add the ruler. The renderer moves the zero mark to the initial centre of mass of the robot."""
     first, last = _RULER_CM
     width, height, pixels = _ruler_picture()
     texture = spec.add_texture(

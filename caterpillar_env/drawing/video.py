@@ -34,7 +34,7 @@ _PALETTE = (
     "split[a][b];[a]palettegen=max_colors=128:stats_mode=full[p];"
     "[b][p]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
 )
-#: Options of ffmpeg. A loop of 0 repeats a WebP for ever.
+#: Options of ffmpeg. `-loop 0` repeats a WebP forever.
 _OPTIONS = {
     ".mp4": [], ".gif": ["-filter_complex", _PALETTE], ".webp": ["-quality", "60", "-loop", "0"],
 }  # fmt: skip
@@ -51,7 +51,7 @@ class VideoConfig:
     """Speed, size and camera of a video.
 
     Raises:
-        CaterpillarError: the speed is not positive, or `View` refuses the size or the camera.
+        CaterpillarError: the speed is not positive, or the size or the camera is invalid (see `View`).
     """
 
     speed: float = 2.0
@@ -198,8 +198,8 @@ def open_video(
 
 
 def is_video_of(path: Path, robot: AnyRobot) -> bool:
-    """Return whether `write_video` wrote this file for this robot. The metadata contain its digest."""
-    if not path.is_file():  # ffmpeg would wait for a pipe
+    """Return whether `write_video` wrote this file for this robot, by the digest in the metadata."""
+    if not path.is_file():  # ffmpeg would block if `path` is a named pipe
         return False
     options = ["-loglevel", "quiet", "-i", str(path), "-f", "ffmetadata", "-"]
     read = [imageio_ffmpeg.get_ffmpeg_exe(), *options]

@@ -73,7 +73,7 @@ def check_energy(*, quick: bool) -> list[Check]:
         excess.append((energy_j.max() - energy_j[0]) / (energy_j[0] - energy_j[-1]))
         model.opt.disableflags |= no_ground
         in_space.append(_regained(_energy(model, crawl.simulation.qpos(0), physics, steps)))
-    name = f"largest rise of the energy of {count} unpowered robots, over the total loss"
+    name = f"largest rise of the energy of {count} unpowered robots, relative to the total loss"
     return [
         check_at_most(f"{name}: in free space", 1e-4, max(in_space), ""),
         check_at_most(f"{name}: on the soft ground", 0.1, max(on_ground), ""),

@@ -1,6 +1,7 @@
 """Comparison of the default numerical settings with two references at a timestep of 0.25 ms.
 
-One reference uses the default integrator. The independent one uses the fourth-order Runge-Kutta method.
+One reference uses the default integrator. The other, called independent, uses the fourth-order
+Runge-Kutta method.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from caterpillar_env.validation.robots import (
     stack_power,
 )
 
-SPREAD = 10  #: number of evolved robots whose intrinsic spread is measured
+SPREAD = 10  #: number of evolved robots that are also simulated from a start moved by 1 um
 INDEPENDENT = 12  #: number of evolved robots for the independent reference, which is slow
 
 
@@ -52,13 +53,13 @@ class Pair(NamedTuple):
         return np.stack([outcomes.distance_m for outcomes in self])[:, ~self.failed.any(axis=0)]
 
     def median_error(self) -> float:
-        """Return the median relative error of the distance of robots that fail in neither."""
+        """Return the median relative error of the distance of robots that fail in neither simulation."""
         ours_m, reference_m = self.distances_m()
         return float(np.median(np.abs(ours_m - reference_m) / np.abs(reference_m)))
 
 
 def rank_correlation(*pairs: Pair) -> float:
-    """Return Spearman's rank correlation of the distances of robots that fail in neither."""
+    """Return Spearman's rank correlation of the distances of robots that fail in neither simulation."""
     return float(spearmanr(*np.hstack([pair.distances_m() for pair in pairs])).statistic)
 
 
@@ -67,8 +68,9 @@ class Comparison(NamedTuple):
 
     random: Pair
     evolved: Pair
-    independent: Pair  #: the first evolved robots, against Runge-Kutta
-    nudged: Pair  #: the first evolved robots with the reference settings, from a start moved by 1 um
+    independent: Pair  #: the first evolved robots with default settings, and with Runge-Kutta
+    #: the first evolved robots with reference settings, from a start moved by 1 um and the usual start
+    nudged: Pair
 
 
 def compare(*, quick: bool) -> Comparison:
@@ -104,7 +106,7 @@ def check_timestep(result: Comparison) -> list[Check]:
             0.95, rank_correlation(result.random, result.evolved), "",
         ),
         check_at_most(
-            f"median relative error of evolved distances (from a start moved by 1 um: {spread:.4f})",
+            f"median relative error of evolved distances (for a start moved by 1 um: {spread:.4f})",
             0.05, result.evolved.median_error(), "",
         ),
         check_at_most(
@@ -141,7 +143,7 @@ def plot(result: Comparison, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-#: Settings to compare. Each is compared with a reference with the same physical parameters.
+#: Changes of `Physics` to compare. The reference for each has the same physical parameters.
 SETTINGS: dict[str, dict[str, Any]] = {
     "default": {},
     "timestep 10 ms": {"timestep_s": 0.01},
@@ -170,8 +172,9 @@ def compare_settings() -> list[dict[str, float | str]]:
     """Compare accuracy and cost of `SETTINGS` on 16 evolved robots.
 
     Returns:
-        One row per setting: cost in microseconds per simulated millisecond and robot on one thread.
-        The other columns compare the robots with a reference at a timestep of 0.5 ms.
+        One row per setting. `cost_us_per_ms` is the computing time on one thread, in microseconds per
+        simulated millisecond and robot. The other columns compare the distances and failures with a
+        reference at a timestep of 0.5 ms.
     """
     robots = stack(evolved_robots(16))
     references: dict[str, Outcomes] = {}

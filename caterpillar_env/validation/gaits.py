@@ -38,7 +38,7 @@ def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
 
     Args:
         robot: robot to simulate.
-        duration_s: maximum duration, s. It is rounded down to whole gait periods, but at least one.
+        duration_s: maximum duration, s, rounded down to whole gait periods, with a minimum of one.
     """
     physics, period_s = robot.physics, robot.timings.period_s
     periods = max(1, int(duration_s / period_s + 1e-9))

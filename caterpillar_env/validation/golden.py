@@ -24,7 +24,7 @@ FILE = Path(__file__).with_name("golden.json")
 SAMPLE_S = 3.0  #: time between recorded points, s
 PLATFORM = f"MuJoCo {mujoco.__version__} on {platform.machine()}"  #: trajectories depend on both
 TOLERANCE_M = 1e-6  #: maximum deviation of a coordinate, m
-_STEADY_M = 1e-8  #: limit on the effect of moving the start of a recorded robot by 1 nm
+_STEADY_M = 1e-8  #: limit on the effect of adding 1e-9 to all initial joint positions of a robot
 _KINDS = {"evolved": 4, "random": 2}
 
 ADVICE = (
@@ -38,7 +38,7 @@ ADVICE = (
 def compute_trajectory(robot: Robot, offset_m: float = 0.0) -> tuple[Array, str]:
     """Return the centre of mass at intervals of `SAMPLE_S`, m, (10, 3), and the failure.
 
-    `offset_m` is added to the initial position of every internal joint.
+    `offset_m` is added to the initial position of every internal joint (in rad for hinges).
     """
     crawl = Crawl([robot.morphology], robot.physics)
     if offset_m:

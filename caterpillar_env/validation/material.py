@@ -141,8 +141,8 @@ class WireRow(NamedTuple):
     diameter_mm: float
     resistance_ohm_m: float
     current_ma: float  #: current that transforms the wire in 1 s
-    cooling_lt_s: float
-    cooling_ht_s: float
+    cooling_lt_s: float  #: cooling time of low-temperature (LT) wire
+    cooling_ht_s: float  #: cooling time of high-temperature (HT) wire
 
 
 DYNALLOY = (
@@ -175,7 +175,7 @@ def convection_w_m2_k(diameter_m: float) -> float:
 
 
 def straight_wire(row: WireRow, *, high_temperature: bool) -> SmaSpring:
-    """Return the straight wire of a row, driven at its current in still air of 25 degC."""
+    """Return the straight wire in a row of the table, at its current, in still air of 25 degC."""
     d = row.diameter_mm / 1000
     branches = (88.0, 98.0, 72.0, 62.0) if high_temperature else (68.0, 78.0, 66.0, 56.0)
     names = ("austenite_start_c", "austenite_finish_c", "martensite_start_c", "martensite_finish_c")

@@ -53,7 +53,7 @@ def _spring_forces() -> Check:
         mujoco.mj_forward(model, data)
         expected = -physics.strengths() * spring_force(physics.spring, data.ten_length, data.ctrl)
         worst = max(worst, float(np.abs(data.actuator_force - expected).max()))
-    return check_at_most("spring force against the two-state formula, 600 springs", 1e-12, worst, "N")
+    return check_at_most("spring force against the two-state formula, 600 values", 1e-12, worst, "N")
 
 
 def _deflections() -> list[Check]:
@@ -82,7 +82,7 @@ def _deflections() -> list[Check]:
 
 
 def _standing() -> list[Check]:
-    """Check that the ground carries the weight of an unpowered robot and that its sag is small."""
+    """Check that the ground carries the weight of an unpowered robot, and that the robot sags little."""
     physics = Physics()
     model, data = _nominal_robot(physics)
     _step(model, data, 10.0)
@@ -103,16 +103,16 @@ def _standing() -> list[Check]:
 def _slope() -> list[Check]:
     """Check that an unpowered robot slides on a slope only beyond an angle of atan(mu).
 
-    The body is stiff, so it slides as a block. The block chatters, so friction is averaged over half a
-    second: it is mu times the normal impulse, including the change of the normal velocity. Later the
-    block turns, and friction no longer points along the slope.
+    The body is stiff, so it slides as a block. The block chatters, so the check uses impulses over half
+    a second. The friction impulse is mu times the normal impulse, which includes the change of the
+    normal velocity. Later the block turns, and friction no longer points along the slope.
     """
     checks = []
     friction, duration_s = 0.4, 0.5
     stiff = replace(Physics(), friction=friction, neck_stiffness_n_m_rad=1.0, neck_damping_n_m_s_rad=0.1)
     for share in (0.98, 1.05, 1.1, 1.25):
         model, data = _nominal_robot(stiff)
-        _step(model, data, 2.0)  # come to rest before it slides
+        _step(model, data, 2.0)  # let the robot come to rest on level ground
         angle = math.atan(share * friction)
         slope = Slope(angle_deg=math.degrees(angle), direction="down")
         model.opt.gravity[:] = -GRAVITY_M_S2 * np.array(slope.up)
@@ -142,7 +142,7 @@ def check_symmetries(*, quick: bool) -> list[Check]:
     """Check straight crawling without mismatch, independence of the heading, and mirror symmetry.
 
     Stick-slip and the limited solver tolerance amplify rounding errors. The tolerance of these checks is
-    therefore the effect of moving the start of the same robots by a micrometre.
+    therefore the intrinsic spread: the effect of moving the start of the same robots by a micrometre.
     """
     count, duration_s = (10, 5.0) if quick else (20, EPISODE_S)
     perfect, uneven = Physics(mismatch_std=0.0), Physics()
@@ -168,8 +168,8 @@ def check_symmetries(*, quick: bool) -> list[Check]:
     checks = []
     for what, got_mm, intrinsic_mm in (
         ("lateral drift without mismatch", 1000 * np.abs(straight.lateral_m), perfect_mm),
-        ("yawed against straight start", distances_mm(straight, turned), perfect_mm),
-        ("mirrored mismatch against mirrored path", distances_mm(left, right, side=-1.0), uneven_mm),
+        ("yawed start vs. straight start", distances_mm(straight, turned), perfect_mm),
+        ("mirrored mismatch vs. mirrored path", distances_mm(left, right, side=-1.0), uneven_mm),
     ):
         allowed_mm = np.maximum(intrinsic_mm, 1e-3)  # ignore differences below 1 um
         median_mm, limit_mm = float(np.median(got_mm)), float(np.median(allowed_mm))
@@ -209,7 +209,7 @@ def check_rest(*, quick: bool) -> list[Check]:
 
 
 def check_failures(healthy: Sequence[Robot]) -> list[Check]:
-    """Check that each kind of failure is detected, and that healthy robots do not fail."""
+    """Check that flipped, tipped, jumped and veered robots fail, and that healthy robots do not."""
     physics = Physics()
     poses = {
         # height of the head centre (m), roll, yaw (rad)

@@ -63,7 +63,7 @@ def farthest_robots(count: int) -> list[Robot]:
 
 
 def stack_power(robots: Sequence[Robot]) -> tuple[list[Body], Array]:
-    """Return bodies, and power over one gait period for `Crawl.run`, (R, steps, springs)."""
+    """Return the bodies, and the power over one gait period, (R, steps, springs), see `Crawl.run`."""
     bodies, timings = stack(robots)
     return bodies, timings.of_springs(robots[0].physics.num_springs).power(SMA_STEP_S)
 
@@ -84,7 +84,7 @@ def start(
     bodies: Sequence[Body], physics: Physics, *,
     heading_rad: float = 0.0, offset_m: float = 0.0, stop_on_failure: bool = True,
 ) -> Crawl:  # fmt: skip
-    """Return robots in their initial state.
+    """Create a `Crawl` of robots in their initial state.
 
     `offset_m` slightly changes the initial state to measure the sensitivity of the result. It is added
     to every axial joint. Hinges turn so that the centre of the element behind moves by the same length.

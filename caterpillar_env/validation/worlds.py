@@ -24,7 +24,7 @@ UNEVEN = ("steps", "steps:direction=down", "rough")
 
 
 def check_creep(*, quick: bool) -> list[Check]:
-    """Check that robots without power hardly creep on slopes on which friction holds them.
+    """Check that unpowered robots hardly creep on slopes where friction should hold them.
 
     Soft contacts creep under a tangential load. Creep is measured after the robots have settled.
     """
@@ -50,7 +50,7 @@ def compare_timesteps(world: World, *, quick: bool) -> tuple[Pair, Pair]:
 
     Returns:
         A pair with the default and the fine timestep, and a pair with the moved and the usual start at
-        the fine timestep. The second pair shows the intrinsic spread.
+        the fine timestep. The second pair shows how sensitive the distances are to the start.
     """
     physics = Physics(world=world)
     fine = replace(physics, timestep_s=0.001 if quick else 0.0005)

@@ -92,15 +92,16 @@ class RecordVideo(wrappers.RecordVideo[Any, Any]):
         drawn, self._drawn = self._drawn and bool(self.recorded_frames), False
         if drawn and self._source is self.env:
             return
-        if drawn:  # the frame collection already holds this frame
+        if drawn:  # Gymnasium appends this frame again, from its own list of frames
             self.recorded_frames.pop()
         super()._capture_frame()  # type: ignore[no-untyped-call]
 
 
 def write_frames(wrapper: Any) -> bool:
-    """Write the video of a wrapper, and stop its recording; return False if it has no frames.
+    """Write the recorded frames of a wrapper to a video, and end the recording.
 
-    Gymnasium uses moviepy, which repeats some frames and omits others because of rounding errors.
+    Without frames, this function does nothing and returns False. Gymnasium uses moviepy instead, which
+    repeats some frames and omits others because of rounding errors.
     """
     frames = wrapper.recorded_frames
     if not frames:
@@ -117,7 +118,7 @@ def write_frames(wrapper: Any) -> bool:
 
 
 def check_kind(env: Any, kind: type) -> None:
-    """Raise a `CaterpillarError` if `env` is not of this kind."""
+    """Raise a `CaterpillarError` if `env` is not an instance of `kind`."""
     if not isinstance(env, kind):
         raise CaterpillarError(
             f"expected a {kind.__name__} to record; got {type(env).__name__}. For other "

@@ -97,7 +97,7 @@ def _stopping_on_signals() -> Iterator[None]:
 
 
 def parse(kind: type[T], argv: Sequence[str], command: str, default: T | None = None) -> T:
-    """Make a dataclass from command-line flags.
+    """Create a dataclass from command-line flags.
 
     Args:
         kind: the dataclass. Its fields become flags, and the docstrings of the fields become help texts.
@@ -178,7 +178,7 @@ def _summary(load: Callable[[], Command]) -> str:
 
 
 def console() -> Console:
-    """Return a console on stderr for progress and messages. It prints text literally, unwrapped."""
+    """Return a console on stderr for progress and messages, without markup or line wrapping."""
     from rich.console import Console
 
     return Console(stderr=True, markup=False, highlight=False, soft_wrap=True)

@@ -35,7 +35,7 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class DoctorArgs:
-    """Check the installed packages and drawing.
+    """Check the installed packages, and whether the robot can be drawn.
 
     The exit status is 1 if a package that every run needs is missing or has an unsupported version.
     Drawing is optional: only videos and rendering need it.
@@ -43,7 +43,7 @@ class DoctorArgs:
 
 
 def doctor_command(argv: Sequence[str]) -> int:
-    """Check the installation and drawing."""
+    """Check the installed packages, and whether the robot can be drawn."""
     cli.parse(DoctorArgs, argv, "doctor")
     findings = [
         Finding("Python", "ok", f"{platform.python_version()}, {sys.executable}"),

@@ -22,9 +22,9 @@ from evolution.priors.preprocessor import Contradictions, GenePrior, Search
 
 @dataclass(frozen=True)
 class PreprocessArgs:
-    """Print and plot the distribution of each gene, and print the grid searches for its peak.
+    """Print and plot the distribution of each gene, and print the maximum of each design parameter.
 
-    The default is Table I of the paper. `--timing wave --prior body+gait` adds the gait.
+    The defaults reproduce Table I of the paper. `--timing wave --prior body+gait` adds the gait.
     """
 
     json: bool = False
@@ -33,17 +33,18 @@ class PreprocessArgs:
     """File for the plot of the densities: .png, .svg or .pdf. With a gait prior, a second plot,
     NAME-gait, is written beside it."""
     genome: GenomeKind = "shared"
-    """Kind of genome. full: separate times for every spring; per-segment: a body for every segment."""
+    """Kind of genome. full: gait genes for every spring; per-segment: body genes for every segment."""
     timing: Timing = "on-off"
-    """Gait genes. on-off: times, as in the paper; phase: delays and duties; wave: one wave."""
+    """Gait genes. on-off: times, as in the paper; phase: delays, duties; wave: lag, offset, duties."""
     prior: Prior = "body"
     """Genes with a distribution from the preprocessor. body: as in the paper."""
     control: Control = "none"
-    """Misleading prior. mirrored: peaks reflected; shuffled: distributions permuted, with seed 0."""
+    """Deliberately misleading prior. mirrored: peaks reflected; shuffled: distributions permuted."""
     contradictions: Contradictions = "uniform"
-    """Prior of a gene on which two design parameters disagree. product: the peak of their product."""
+    """Prior of a gene on which two design parameters disagree. product: a Gaussian with its peak where
+    the product of the design parameters is largest."""
     floor_ratio: float = 3.0
-    """Ratio of the largest to the smallest density of a preprocessed gene; 3 in the paper."""
+    """Ratio of the maximum to the minimum density of a Gaussian prior; 3 in the paper."""
     clipping: Clipping = "truncated"
     """How a Gaussian is limited to the bounds of its gene."""
     gait_period_s: float = GAIT_PERIOD_S
@@ -87,7 +88,7 @@ def _make_table(priors: Sequence[GenePrior], found: Sequence[Search]) -> Table:
     names = [search.parameter.name for search in found]
     title = "Distributions of the genes"
     table = Table("gene", "range", *names, "mu", "sigma", "reason", title=title, title_justify="left")
-    table.caption = "+ and -: the K_i is best at high or low values; o: circular gene"
+    table.caption = "+ and -: the K_i is largest at high or low values; o: circular gene"
     for prior in priors:
         factor, unit = prior.gene.shown
         data, signs = prior.to_dict(), dict(prior.signs)
@@ -107,8 +108,8 @@ def _make_table(priors: Sequence[GenePrior], found: Sequence[Search]) -> Table:
 
 
 def _make_search_table(found: Sequence[Search]) -> Table:
-    table = Table("K_i", "source", "best node", "K_i there", "least on the grid", title_justify="left")
-    table.title = "Search for the maximum of each K_i"
+    table = Table("K_i", "source", "best node", "maximum", "minimum on the grid", title_justify="left")
+    table.title = "Maximum of each K_i on the grid"
     for search in found:
         k, places = search.parameter, []
         for gene, nodes, node in zip(search.genes, search.nodes, search.best, strict=True):

@@ -32,7 +32,8 @@ class ReplayArgs:
     source: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Run folders, or JSON files of robots (best.json)."""
     generations: tuple[int, ...] = ()
-    """Show the best robot after each of these generations of a run. Give the run folder first."""
+    """Show the best robot after each of these generations of a run. Give the run folder before
+    this option."""
     timestep_s: float | None = None
     """Timestep in s, such as 0.0005; by default, the recorded timestep."""
     json: bool = False

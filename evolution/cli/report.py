@@ -32,18 +32,20 @@ class ReportArgs:
     landscape.png. This takes about as long as 625 evaluations."""
     all_winners: bool = False
     """For a study: simulate the best robot of every run again with a finer timestep, other friction and
-    other forces of the springs, and measure gaits. This takes a minute per robot on one core."""
+    other spring parameters, and measure the gaits. This takes a minute per robot on one core."""
 
 
 def report_command(argv: Sequence[str]) -> int:
-    """Write the figures and the page of a run or a study."""
+    """Write the figures and report.html of a run or a study."""
     args = cli.parse(ReportArgs, argv, "report")
     if (args.folder / SETTINGS).is_file():
         if args.landscape is not None:
             raise CaterpillarError(f"--landscape needs the folder of a run; {args.folder} is a study")
         write_report(args.folder, all_winners=args.all_winners)
     elif args.all_winners:
-        raise CaterpillarError(f"--all-winners needs the folder of a study; {args.folder} is no study")
+        raise CaterpillarError(
+            f"--all-winners needs the folder of a study; {args.folder} is not a study"
+        )
     elif (args.folder / JOURNAL).is_file():
         history = History.read(args.folder)
         if args.landscape is not None:

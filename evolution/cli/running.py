@@ -1,4 +1,4 @@
-"""Flags, progress and closing messages of the commands that run something."""
+"""Shared flags, progress output and final messages of the commands that start or continue a run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class ThreadArgs:
     """Settings of a run on this machine that do not change its result."""
 
     threads: int = 0
-    """Number of simulation threads of this machine; 0 uses all cores."""
+    """Number of simulation threads on this machine; 0 uses all cores."""
     video: bool = True
     """Write best.mp4, a video of the best robot."""
 
@@ -82,7 +82,7 @@ class Reporter:
         done = self._config.share_done(generation.number + 1, generation.simulated_s)
         self._step, self._done = done - self._done, done  # estimate for the next generation
         following = f"generation {generation.number + 1}"
-        if generation.replayed:  # replayed generations are excluded from the time left
+        if generation.replayed:  # exclude replayed generations from the estimate of the time left
             self._bar.reset(self._task)
         self._bar.update(self._task, completed=done, description=following)
         failures = ", ".join(f"{n} {name}" for name, n in generation.failures.items() if n) or "none"
@@ -119,7 +119,7 @@ def write_results(history: History, console: Console, *, video: bool) -> None:
     best, path = history.best_robot, history.folder / "best.mp4"
     recording = None
     if best is not None and video and not (path.exists() and is_video_of(path, best)):
-        recording = Recording(best)  # the page shows the same one
+        recording = Recording(best)  # the page uses the same recording
         cli.film(recording, path, console)
     page = run_page.write(history, recording)
     if best is None:

@@ -24,12 +24,15 @@ Preset = Literal["paper", "ablation", "search", "conjecture", "rl", "rl-ablation
 
 @dataclass(frozen=True)
 class StudyArgs:
-    """Run the arms and seeds of a study, and write its report. Finished runs are not repeated."""
+    """Run every arm (configuration) of a study with every seed, and write the report.
+
+    Finished runs are not repeated.
+    """
 
     file: Annotated[Path | None, tyro.conf.Positional] = None
     """TOML file with the settings of the study (see docs/study.md)."""
     preset: Preset | None = None
-    """Use a study of this package instead of a file."""
+    """Use a predefined study instead of a file."""
     out: Path | None = None
     """Study folder to create or continue; by default, studies/NAME, named after the file or preset."""
     processes: int = 0
@@ -53,7 +56,7 @@ class StudyArgs:
 
 
 def study_command(argv: Sequence[str]) -> int:
-    """Run several arms with several seeds, and compare them."""
+    """Run several configurations (arms) with several seeds, and compare the arms."""
     args = cli.parse(StudyArgs, argv, "study")
     config = read_toml(args.file) if args.file else preset(str(args.preset))
     folder = args.out or Path("studies") / (args.file.stem if args.file else str(args.preset))

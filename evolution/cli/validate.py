@@ -34,7 +34,7 @@ class ValidateArgs:
 
 
 def groups(robots: Sequence[Robot], *, quick: bool) -> dict[str, Callable[[], list[Check]]]:
-    """Return the groups of checks in the order of the table, without those of gaits and timesteps."""
+    """Return the groups of checks in the order of the table, without gaits and timesteps."""
     from caterpillar_env.validation import (
         conservation,
         golden,

@@ -36,8 +36,9 @@ class CmaConfig:
 class CmaEs(GenerationalOptimizer):
     """CMA-ES with an ask/tell interface.
 
-    The search starts at the peak of each gene's distribution, with its width as the step size. Genes
-    with a uniform distribution start at 0.5. Restarts begin at a random draw from the distributions.
+    The search starts at the peak of each gene's distribution. The initial step size of a gene is the
+    standard deviation of this distribution, but at most `cma_sigma`. Genes with a uniform distribution
+    start at 0.5, with the step size `cma_sigma`. Restarts begin at a random draw from the distributions.
     pycma transforms the genes so that every genome lies within the bounds. Circular genes are not
     bounded; they wrap around from 1 to 0.
 
@@ -57,13 +58,13 @@ class CmaEs(GenerationalOptimizer):
     ) -> None:
         super().__init__()
         self._circular = np.array(circular or [False] * len(distributions))
-        self._points: list[Array] = []  # the last genomes before circular genes were wrapped
+        self._points: list[Array] = []  # points that pycma proposed last, before wrapping
         self._distributions = list(distributions)
         self._config = config
         self._rng = rng
         peaks = [d.mu if isinstance(d, Gaussian) else 0.5 for d in self._distributions]
         self._strategy = self._make_strategy(np.array(peaks), config.cma_population)
-        self._is_flat = False  # whether the last generation had a single fitness value
+        self._is_flat = False  # whether all fitness values of the last generation are equal
 
     @property
     def centre(self) -> Array:
@@ -83,7 +84,7 @@ class CmaEs(GenerationalOptimizer):
         self._is_flat = bool(np.ptp(fitness) == 0)
 
     def _wrap(self, points: Array) -> Array:
-        """Return genomes, in [0, 1], from points of the search."""
+        """Return the genomes, in [0, 1], for points in the space of pycma."""
         wrapped: Array = np.where(self._circular, points % 1.0, np.clip(points, 0.0, 1.0))
         return wrapped
 
@@ -103,6 +104,6 @@ class CmaEs(GenerationalOptimizer):
         }
         if population is not None:
             options["popsize"] = population
-        # The transformation has no inverse at the bounds.
+        # pycma's transformation to the bounds is flat at 0 and 1, and the identity from 0.05 to 0.95.
         start = np.where(self._circular, start, np.clip(start, 0.05, 0.95))
         return cma.CMAEvolutionStrategy(start, sigma, options)

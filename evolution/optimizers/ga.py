@@ -74,14 +74,14 @@ def roulette(fitness: Array, draws: int, rng: np.random.Generator) -> NDArray[np
 
 
 class GeneticAlgorithm(GenerationalOptimizer):
-    """Roulette selection, crossover, redrawing mutation and a hall of fame.
+    """Genetic algorithm with roulette selection, crossover, mutation and a hall of fame.
 
-    The first generation is a full population. Later generations exclude the hall of fame, because its
-    fitness is known.
+    Mutation redraws a gene from its distribution. The first generation is a full population. Later
+    generations exclude the genomes of the hall of fame, because their fitness is known.
 
     Args:
-        initial: distributions of the genes of the first population.
-        mutation: distributions from which mutated genes are redrawn.
+        initial: distribution of each gene in the first population.
+        mutation: distribution of each gene for mutations.
         config: settings of the genetic algorithm.
         rng: the only source of randomness.
     """
@@ -116,7 +116,7 @@ class GeneticAlgorithm(GenerationalOptimizer):
         """Return children, (count, n). The elites are parents only if `elites_breed` is set."""
         first = 0 if self._config.elites_breed else self._config.elites
         pool, fitness = self._genomes[first:], self._fitness[first:]
-        weight = fitness - min(fitness.min(), 0.0)  # an objective may be negative
+        weight = fitness - min(fitness.min(), 0.0)  # an objective may be negative, but weights may not
         mothers = pool[roulette(weight, count, self._rng)]
         fathers = pool[roulette(weight, count, self._rng)]
         children = np.where(self._crossover_mask(count), fathers, mothers)

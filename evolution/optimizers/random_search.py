@@ -46,7 +46,7 @@ class RandomSearch(GenerationalOptimizer):
             shares = self._rng.random((self._population, len(self._distributions)))
         else:
             # Draw one point at a time, because SciPy warns if the number of points is not a power of
-            # two. This matters for integration only.
+            # two. Such a number would reduce the accuracy of numerical integration only.
             shares = np.concatenate([self._sobol.random(1) for _ in range(self._population)])
         columns = [d.quantile(shares[:, i]) for i, d in enumerate(self._distributions)]
         return np.stack(columns, axis=1)

@@ -13,9 +13,9 @@ from caterpillar_env.errors import CaterpillarError, check_fields
 from evolution.optimizers.base import MAX_POPULATION, GenerationalOptimizer
 from evolution.priors.distributions import Distribution, draw
 
-DRAWS = 2  #: draws from the distributions for each genome of the first population; the best are kept
-_MEMORY = 5  #: number of remembered pairs of scale and crossover rate
-_LARGEST_SHARE = 0.2  #: largest share of the population from which a target is drawn
+DRAWS = 2  #: size of the first generation relative to the population; the best genomes are kept
+_MEMORY = 5  #: memory size: number of pairs of scale and crossover rate
+_LARGEST_SHARE = 0.2  #: maximum of p; a target is drawn from the best share p of the population
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,14 @@ class ShadeConfig:
 class Shade(GenerationalOptimizer):
     """SHADE with an ask/tell interface.
 
-    Each genome x of the population proposes a trial. The trial mixes x with the mutant
-    x + F (target - x) + F (a - b), where the target is one of the best genomes, a is another genome, and
-    b is a third genome or one that was replaced. The trial replaces x if it is at least as good. The
-    scale F and the crossover rate are sampled around values that recently improved genomes.
+    For each genome x of the population, a trial genome is created by crossover of x and the mutant
+    x + F (target - x) + F (a - b). The target is one of the best genomes, a is another genome of the
+    population, and b is a third one or a genome from the archive of replaced genomes. The trial replaces
+    x if its fitness is at least as high. The scale F and the crossover rate are sampled around values
+    that recently improved genomes.
 
-    With several candidates, each genome is drawn several times, and `predict` chooses one of the draws.
+    With `shade_candidates` > 1, several candidates are generated for each genome of the first generation
+    and for each trial, and `predict` chooses one of them.
 
     Args:
         distributions: distribution of each gene, for the first population.
@@ -77,9 +79,9 @@ class Shade(GenerationalOptimizer):
         self._circular = np.array(circular or [False] * len(distributions))
         self._genomes = np.empty((0, len(distributions)))
         self._fitness = np.empty(0)
-        self._former = np.empty((0, len(distributions)))  # genomes that were replaced, at most `_size`
+        self._former = np.empty((0, len(distributions)))  # archive of replaced genomes, at most `_size`
         self._memory = np.full((2, _MEMORY), 0.5)  # scales and crossover rates
-        self._oldest = 0  # index of the entry of the memory that changes next
+        self._oldest = 0  # index of the memory entry to replace next
         self._used = np.empty((2, 0))  # scales and crossover rates of the last trials
 
     def _propose(self) -> Array:
@@ -95,7 +97,7 @@ class Shade(GenerationalOptimizer):
         return candidates[chosen, rows]
 
     def _choose(self, candidates: Array) -> NDArray[np.intp]:
-        """Return the index of the most promising of the candidates (C, P, n) for each genome, (P,)."""
+        """Return the index of the best candidate for each genome, (P,), from candidates (C, P, n)."""
         if self._predict is None:
             return np.zeros(candidates.shape[1], dtype=np.intp)
         predicted = self._predict(candidates.reshape(-1, candidates.shape[2]))
@@ -125,7 +127,8 @@ class Shade(GenerationalOptimizer):
         self._former = former[np.sort(kept)]
         if (gain > 0).any():
             used, weight = self._used[:, gain > 0], gain[gain > 0]
-            # The Lehmer mean favours large values, which counters early convergence.
+            # The Lehmer mean favours large values, which counters early convergence. For the crossover
+            # rate, it is the mean of L-SHADE (2014); SHADE (2013) uses the arithmetic mean.
             self._memory[:, self._oldest] = (weight * used**2).sum(1) / (weight * used).sum(1)
             self._oldest = (self._oldest + 1) % _MEMORY
         better = gain >= 0
@@ -136,14 +139,14 @@ class Shade(GenerationalOptimizer):
         """Return the scale and the crossover rate of each trial, (2, N)."""
         scales, rates = self._memory[:, self._rng.integers(_MEMORY, size=self._size)]
         tails = self._rng.random(self._size)
-        # A Cauchy distribution around the remembered scale, cut at 0.
+        # Draw from a Cauchy distribution around the remembered scale, truncated at 0.
         lowest = 0.5 - np.arctan(scales / 0.1) / np.pi
         tails = lowest + (1 - lowest) * tails
         drawn = scales + 0.1 * np.tan(np.pi * (tails - 0.5))
         return np.stack([np.clip(drawn, 1e-3, 1.0), np.clip(self._rng.normal(rates, 0.1), 1e-3, 1.0)])
 
     def _draw_differences(self) -> tuple[Array, Array]:
-        """Return the differences to a target and between two other genomes, (N, n) each."""
+        """Return target - x and a - b of the mutant of each genome x, (N, n) each; see `Shade`."""
         n, x, number = self._size, self._genomes, np.arange(self._size)
         order = np.argsort(-self._fitness, kind="stable")
         shares = self._rng.uniform(min(2 / n, _LARGEST_SHARE), _LARGEST_SHARE, n)
@@ -153,11 +156,11 @@ class Shade(GenerationalOptimizer):
         one += one >= number  # not the genome itself
         pool = np.concatenate([x, self._former])
         two = self._rng.integers(len(pool) - 2, size=n)
-        for taken in np.sort([number, one], axis=0):  # neither the genome nor the first one
+        for taken in np.sort([number, one], axis=0):  # neither the genome itself nor `one`
             two += two >= taken
         return self._subtract(x[targets], x), self._subtract(x[one], pool[two])
 
     def _subtract(self, a: Array, b: Array) -> Array:
-        """Return a - b, the shorter way round for circular genes."""
+        """Return a - b; for circular genes, along the shorter arc."""
         difference = a - b
         return np.where(self._circular, (difference + 0.5) % 1.0 - 0.5, difference)

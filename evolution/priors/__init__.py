@@ -30,7 +30,7 @@ from evolution.priors.preprocessor import (
 
 Prior = Literal["uniform", "body", "gait", "body+gait"]
 Control = Literal["none", "mirrored", "shuffled"]
-#: Name of a K_i to leave out of a prior.
+#: Name of a design parameter K_i to leave out of a prior.
 Without = Literal["none", "roll stability", "yaw stability", "lifting moment", "stroke", "advance"]
 
 _SHUFFLE = 0x5F  # separates the random numbers of the shuffle from those of the optimizer
@@ -39,7 +39,7 @@ _SHUFFLE = 0x5F  # separates the random numbers of the shuffle from those of the
 def design_parameters(
     encoding: Encoding, prior: Prior, without: Without = "none"
 ) -> tuple[DesignParameter, ...]:
-    """Return the K_i of a prior, without one of them if its name is given.
+    """Return the design parameters K_i of a prior, except the one that `without` names.
 
     Raises:
         CaterpillarError: the prior has no K_i of this name.
@@ -58,12 +58,12 @@ def design_parameters(
 
 
 def _make_wave(encoding: Encoding) -> Encoding:
-    """Return the encoding of one body and one wave, whose genes are the arguments of the K_i."""
+    """Return the encoding with one body for all segments and a wave: its genes are those of the K_i."""
     return replace(encoding, kind="shared", timing="wave")
 
 
 def searches(encoding: Encoding, prior: Prior) -> list[Search]:
-    """Return one `Search`, the grid search for a maximum, for each K_i of a prior."""
+    """Maximize each K_i of a prior by grid search, and return the results."""
     return search_all(design_parameters(encoding, prior), _make_wave(encoding).genes)
 
 
@@ -80,18 +80,19 @@ def make_priors(
 ) -> list[GenePrior]:
     """Return the distribution of each gene. With the prior "body", this is the paper's Table I.
 
-    The prior of the gait describes delays and duties. With on and off times, it describes the times of
-    the best wave that begins with the first dorsal pair. If two K_i disagree, there is no best wave, and
-    the times stay uniform.
+    The K_i of the gait give distributions of lag, offset and duty. With the timing `on-off`, the times
+    get distributions that peak at the times of the best wave: the wave with lag, offset and duty at
+    their peaks, whose first dorsal pair is switched on at the start of the period. If one of the three
+    has no peak, for example because two K_i disagree on it, the times stay uniform.
 
     Args:
         encoding: the genes, and the physics that the K_i depend on.
         prior: the K_i to use: body, gait, both or none.
-        floor_ratio: maximum over minimum density of a Gaussian, before clamping.
+        floor_ratio: ratio of the maximum to the minimum density of a Gaussian, before clamping.
         clipping: interpretation of the paper's "clipped Gaussian".
         contradictions: what to do with genes on which two K_i disagree.
-        control: "mirrored" or "shuffled" gives a misleading prior of the same strength. On and off
-            times are then those of the mirrored wave.
+        control: "mirrored" or "shuffled" gives a deliberately misleading prior with the same standard
+            deviations. With "mirrored", the best wave has its lag, offset and duty mirrored, too.
         without: name of a K_i to leave out.
         seed: seed of the shuffle.
 
@@ -125,7 +126,7 @@ def _time_priors(encoding: Encoding, known: dict[str, GenePrior]) -> dict[str, G
     shapes = [known[name].distribution for name in ("lag", "offset", "duty")]
     peaks = [d for d in shapes if isinstance(d, Gaussian)]
     if len(peaks) < len(shapes):
-        return {}  # a contradiction leaves no best wave
+        return {}  # without all three peaks, there is no best wave
     lag, offset, duty = (d.mu for d in peaks)
     wave = _make_wave(encoding)
     body = [0.5] * (len(wave.genes) - 4)

@@ -37,7 +37,7 @@ def lifting_moment(
     x: Array, y: Array, m: Array, length: Array, *,
     stiffness_n_m: float, rest_length_m: float, radius_m: float, joint_limit_rad: float,
 ) -> Array:  # fmt: skip
-    """Return the mean moment of an austenite spring that lifts a segment about its contact b, N m.
+    """Return the mean net moment with which a hot spring lifts a segment about its contact b, N m.
 
     Saunders 2009, eqs 6-7: M_b = r_b,sp x F_s + r_b,cm x W. The segment extends L/2 ahead of b, its
     centre of mass is h_b = 2R above the ground, and it is pitched up by theta about b. The spring

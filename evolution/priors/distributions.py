@@ -51,11 +51,11 @@ class Uniform(Distribution):
 
 @dataclass(frozen=True)
 class Gaussian(Distribution):
-    """A distribution with a peak.
+    """Base class of Gaussians that are limited to [0, 1].
 
     Args:
         mu: position of the peak, in [0, 1].
-        sigma: standard deviation on an unlimited range.
+        sigma: standard deviation before the limitation to [0, 1].
     """
 
     mu: float
@@ -86,8 +86,8 @@ class ClippedGaussian(Gaussian):
     def with_floor(cls, mu: float, ratio: float = 3.0) -> ClippedGaussian:
         """Return a truncated Gaussian whose minimum density is 1 / `ratio` times its maximum.
 
-        Saunders 2009, section II: "no smaller than one third". So sigma = D / sqrt(2 ln 3), where D is
-        the distance from mu to the farther bound.
+        The ratio is 3 in Saunders 2009, section II ("no smaller than one third"). The formula is
+        sigma = D / sqrt(2 ln ratio), where D is the distance from mu to the farther bound.
         """
         return cls(mu, max(mu, 1.0 - mu) / math.sqrt(2.0 * math.log(ratio)))
 
@@ -103,14 +103,14 @@ class ClippedGaussian(Gaussian):
         return np.clip(x, 0.0, 1.0)
 
     def density(self, x: Array) -> Array:
-        """See `Distribution.density`. Excludes the probability on the bounds if clamped."""
+        """See `Distribution.density`. If clamped, the probability masses at the bounds are left out."""
         low, high = self._tails()
         bell = np.exp(-0.5 * ((x - self.mu) / self.sigma) ** 2)
         inside = (x >= 0) & (x <= 1)
         return np.where(inside, bell / ((high - low) * self.sigma * math.sqrt(2 * math.pi)), 0.0)
 
     def _tails(self) -> tuple[float, float]:
-        """Return the range of quantiles of the unclipped Gaussian to draw from."""
+        """Return the range of cumulative probabilities of the unclipped Gaussian to draw from."""
         if self.clipping == "clamped":
             return 0.0, 1.0
         return ndtr(-self.mu / self.sigma), ndtr((1.0 - self.mu) / self.sigma)
@@ -118,7 +118,7 @@ class ClippedGaussian(Gaussian):
 
 @dataclass(frozen=True)
 class WrappedGaussian(Gaussian):
-    """A Gaussian on a circle, for circular genes. It ends half a circle from its peak."""
+    """A Gaussian on a circle, for circular genes, truncated half a circle away from its peak."""
 
     @classmethod
     def with_floor(cls, mu: float, ratio: float = 3.0) -> WrappedGaussian:
@@ -131,11 +131,11 @@ class WrappedGaussian(Gaussian):
         return "wrapped_gaussian"
 
     def mirrored(self) -> Gaussian:
-        """Return the distribution with its peak on the other side of the circle."""
+        """Return the distribution with its peak moved by half the circle."""
         return replace(self, mu=(self.mu + 0.5) % 1.0)
 
     def quantile(self, share: Array) -> Array:
-        """See `Distribution.quantile`. Share 0 is the point opposite to the peak."""
+        """See `Distribution.quantile`. A share of 0 gives the point opposite the peak."""
         return (ClippedGaussian(0.5, self.sigma).quantile(share) + self.mu - 0.5) % 1.0
 
     def density(self, x: Array) -> Array:

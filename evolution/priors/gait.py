@@ -1,7 +1,7 @@
-"""Key design parameters of the gait in the manner of the paper: K_4, stroke, and K_5, advance.
+"""Our key design parameters of the gait: K_4, the stroke, and K_5, the advance.
 
-Both predict how a wave of contractions should look, from the thermal model of the springs and from
-statics. Neither is fitted to simulated distances.
+The paper has no K_i for the gait. K_4 follows from the thermal model of the springs, and K_5 also from
+a planar quasi-static model of the robot. Neither is fitted to simulated distances.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def gait_parameters(physics: Physics, gait_period_s: float) -> tuple[DesignParam
 
 @lru_cache(maxsize=8)
 def _make_parameters(physics: Physics, gait_period_s: float) -> tuple[DesignParameter, ...]:
-    """Return the same objects for the same arguments, so that `search_grid` runs once for them."""
+    """Return K_4 and K_5: the same objects for the same arguments, so that `search_grid` is cached."""
     k_4 = partial(stroke, spring=physics.spring, gait_period_s=gait_period_s)
     k_5 = partial(_advance_of_wave, physics=physics, gait_period_s=gait_period_s)
     return (
@@ -51,14 +51,16 @@ def _make_parameters(physics: Physics, gait_period_s: float) -> tuple[DesignPara
 
 
 def stroke(duty: Array, *, spring: SmaSpring, gait_period_s: float) -> Array:
-    """Return the swing of the austenite fraction over a settled period, same shape as `duty`."""
+    """Return the peak-to-peak austenite fraction in the periodic steady state, same shape as `duty`."""
     fraction = _settled_fraction(duty.ravel(), spring, gait_period_s)
     swing: Array = np.ptp(fraction, axis=0).reshape(duty.shape)
     return swing
 
 
 def advance(bodies: Sequence[Body], timings: GaitTimings, physics: Physics) -> Array:
-    """Return the net advance of P robots in one period of a settled gait, m, shape (P,).
+    """Return the net advance of P robots in one gait period, m, shape (P,).
+
+    The springs are in the periodic steady state: their temperatures repeat.
 
     Args:
         bodies: P bodies, or one for all gaits.
@@ -83,7 +85,7 @@ def advance(bodies: Sequence[Body], timings: GaitTimings, physics: Physics) -> A
 def _advance_of_wave(
     lag: Array, offset: Array, duty: Array, *, physics: Physics, gait_period_s: float
 ) -> Array:
-    """Return the advance of the nominal body with a wave, m. See the genes of the timing `wave`."""
+    """Return the advance of the nominal body with a wave, m. For the genes, see `evolution.genome`."""
     waves = Encoding(physics, gait_period_s, timing="wave")
     lag, offset, duty = np.broadcast_arrays(lag, offset, duty / MAX_DUTY)
     gaits = np.stack([lag, duty, offset, duty], axis=-1).reshape(-1, 4)
@@ -93,6 +95,6 @@ def _advance_of_wave(
 
 
 def _settled_fraction(duty: Array, spring: SmaSpring, gait_period_s: float) -> Array:
-    """Return the austenite fraction after each thermal step of a settled period, (steps, D)."""
+    """Return the austenite fraction after each step of a period in steady state, (steps, D)."""
     timings = GaitTimings(gait_period_s, np.zeros_like(duty), duty * gait_period_s)
     return settle(spring, timings.power(SMA_STEP_S), SMA_STEP_S).path.fraction

@@ -1,4 +1,4 @@
-"""The physics-based preprocessor: physics predicts good values of genes (Saunders 2009, II and III).
+"""The preprocessor predicts good gene values from physics (Saunders 2009, sections II and III).
 
 A key design parameter K_i is a function of a few genes. An exhaustive search over a coarse grid
 maximizes it, and the best node gives the peak of each gene's distribution. The distribution stays
@@ -43,7 +43,7 @@ class DesignParameter(NamedTuple):
 
 
 class Search(NamedTuple):
-    """The exhaustive search for the maximum of one K_i."""
+    """Result of the exhaustive search for the maximum of one K_i."""
 
     parameter: DesignParameter
     genes: tuple[Gene, ...]  #: the genes g_i
@@ -74,7 +74,8 @@ class GenePrior:
 
     gene: Gene
     distribution: Distribution  #: over [0, 1]
-    signs: tuple[tuple[str, int], ...]  #: (K_i, sign): 1 if largest at a high value, -1 low, 0 circular
+    #: (name of K_i, sign): 1 if K_i is largest at a high value, -1 at a low value; 0 for a circular gene
+    signs: tuple[tuple[str, int], ...]
     reason: str
 
     def to_dict(self) -> dict[str, str | float | None]:
@@ -126,7 +127,8 @@ def check_floor_ratio(floor_ratio: float) -> None:
 def search_all(parameters: Sequence[DesignParameter], genes: Sequence[Gene]) -> list[Search]:
     """Maximize each K_i.
 
-    A K_i describes one segment or gap. Its result holds for the same gene of every segment or gap.
+    The genes of a K_i are named without segment or gap. The result holds for the corresponding genes of
+    all segments and gaps.
 
     Raises:
         CaterpillarError: two K_i have the same name, a K_i uses an unknown gene, or `search_grid` fails.
@@ -156,7 +158,7 @@ def preprocess(
     Args:
         parameters: the design parameters K_i.
         genes: all genes of the genome.
-        floor_ratio: maximum over minimum density of a Gaussian; 3 in the paper ("one third").
+        floor_ratio: ratio of the maximum to the minimum density of a Gaussian; 3 in the paper.
         contradictions: what to do with genes on which two K_i disagree, see `Contradictions`.
 
     Raises:

@@ -2,16 +2,17 @@
 
 The robot is reduced to its sagittal plane: a chain of segments with a pitch hinge (neck) between
 neighbours. Each segment but the last has a prismatic joint; segments are rigid otherwise. The left and
-the right spring of a pair act as one. At each instant the chain takes the shape of least energy,
+the right spring of a pair act as one. At each instant, a few Newton iterations move the chain towards
+the shape of minimum energy,
 
     E = springs + necks + prismatic joints + gravity + compression of the feet
         + sum over feet of friction * load * |displacement since the last instant|,
 
-plus the work of the dampers in the joints. There is no inertia. The last term is Coulomb friction: the
-feet slide in the way that dissipates least. Its absolute value is smoothed over `SLIP_M`, and its loads
-are those of the previous iteration.
+plus the work of the dampers in the joints. There is no inertia. The sum over feet is Coulomb friction:
+the feet slide in the way that dissipates least. The absolute value is smoothed over `SLIP_M`, and the
+loads are those of the previous iteration.
 
-Many chains are solved together. The last axis of every array counts them.
+Many chains are solved together. The last axis of the arrays is the index of the chain.
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ from caterpillar_env.morphology import Body, Morphology, segments_of
 from caterpillar_env.physics import GRAVITY_M_S2, Physics
 from caterpillar_env.sma import spring_force
 
-SLIP_M = 3e-4  #: displacement in an instant over which friction builds up
-FOOT_STIFFNESS_N_M = 400.0  #: a pair of feet carries about 0.08 N
+SLIP_M = 3e-4  #: displacement since the last instant over which friction builds up
+FOOT_STIFFNESS_N_M = 400.0  #: stiffness of a pair of feet, which carries about 0.08 N
 NECK_STOP_N_M_RAD = 3.0  #: stiffness of a neck beyond its limit
 AXIAL_STOP_N_M = 2e4  #: stiffness of a prismatic joint beyond its travel
-ITERATIONS = 3  #: Newton iterations in an instant
-FIRST_ITERATIONS = 40  #: Newton iterations in the first instant, from a straight chain
+ITERATIONS = 3  #: Newton iterations per instant
+FIRST_ITERATIONS = 40  #: Newton iterations for the first instant, from a straight chain
 
 
 class _Vectors(NamedTuple):
@@ -53,7 +54,7 @@ class Geometry(NamedTuple):
     """Positions of G chains."""
 
     vectors_m: Array  #: see `_Vectors`, (2, V, G)
-    jacobian: Array  #: their derivatives with respect to the coordinates, (2, V, n, G)
+    jacobian: Array  #: derivatives of the vectors with respect to the coordinates, (2, V, n, G)
     along_m: Array  #: `_Vectors.along_m` minus the extensions of the prismatic joints, (V, N, G)
     forward: Array  #: e_j, (2, N, G)
     upward: Array  #: n_j, (2, N, G)
@@ -67,7 +68,7 @@ class PlanarChain:
     last.
 
     Args:
-        bodies: one body, or G.
+        bodies: one body, or G bodies.
         physics: material and number of segments.
     """
 
@@ -86,7 +87,8 @@ class PlanarChain:
             [[m.segment_length_m for m in chain[:-1]] for chain in chains]
         ).T  # fmt: skip
         pull = [[pretension(a, b, physics.spring) for a, b in body] for body in gaps]
-        # At rest, the pre-tension of the cold springs compresses a segment to its length.
+        # Extension without load: the pre-tension of the cold springs then compresses a segment to its
+        # nominal length.
         self._stretch_m = np.array(pull).T / physics.axial_stiffness_n_m
         # Largest changes in a Newton step, and the values added to the Hessian's diagonal.
         pitches, slides = self._feet, self._feet - 1
@@ -111,7 +113,7 @@ class PlanarChain:
         return np.array(positions_m)
 
     def settle(self, fraction: Array) -> Array:
-        """Return the coordinates at rest, from a straight chain, for fractions (pairs, G): (n, G)."""
+        """Return the coordinates at rest, (n, G), for fractions (pairs, G), from a straight chain."""
         load_n = np.zeros((self._feet, fraction.shape[1])) + self._weight_n / self._feet
         q = np.zeros((2 * self._feet + 1, fraction.shape[1]))
         q[1] = self._height_m - load_n[0] / FOOT_STIFFNESS_N_M
@@ -253,7 +255,7 @@ def _list_vectors(segments: Sequence[Morphology]) -> Array:
 def _point(
     segments: Sequence[Morphology], index: int, along_m: float, above_m: float, slide: float = 0.0
 ) -> Array:
-    """Return the coefficients, (3, N), of a point, from the centre of the head's legged element."""
+    """Return the coefficients, (3, N), of a point relative to the centre of the first legged element."""
     point = np.zeros((3, len(segments)))
     for ahead in range(index):  # to the neck, and from there to the next legged element
         m, behind = segments[ahead], segments[ahead + 1]

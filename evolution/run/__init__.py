@@ -1,1 +1,1 @@
-"""Runs of an optimizer: the loop, its journal on disk, and the history read from it."""
+"""Runs of an optimizer: the main loop, the journal of a run on disk, and the history of a run."""

@@ -1,7 +1,7 @@
 """Connection to a Ray cluster, for runs and studies, and an evaluator that uses it.
 
-Ray repeats the task of a lost worker or node elsewhere. If the head of the cluster is lost, this module
-raises a `ClusterError` within seconds.
+If a worker or a node is lost, Ray repeats its tasks on other workers. If the head of the cluster is
+lost, this module raises a `ClusterError` after `HEAD_TIMEOUT_S`.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from evolution.run.evaluators import Evaluator, Job, OnProgress, Result, run_job
 _CONNECT_TIMEOUT_S = 5.0
 _CHECK_S = 2.0  # time between two checks of the head
 _RETRIES = 10  # retries of a task whose worker was lost
-_LEAST_TASK_S = 0.05  # a shorter task would take as long as Ray needs to start it
-#: A head that does not answer for this time is lost. Ray itself would exit after 60 s.
+_LEAST_TASK_S = 0.05  # minimum duration of a task; Ray needs about this time to start one
+#: The head counts as lost if it does not answer for this time. Ray would end the process after 60 s.
 HEAD_TIMEOUT_S = 15.0
 CORE_TIMEOUT_S = 600.0  #: longest time without any core in the cluster
 
@@ -53,7 +53,7 @@ class Cluster:
         self._lock = threading.Lock()
         self._head = self._node = ""
         self._cores = 0
-        self._checked_s = 0.0  # times of the clock `time.monotonic`
+        self._checked_s = 0.0  # this and the next two are times of `time.monotonic`
         self._silent_since_s: float | None = None
         self._empty_since_s: float | None = None
 
@@ -63,7 +63,7 @@ class Cluster:
         Raises:
             ClusterError: Ray is not installed, or no cluster can be reached.
         """
-        # Without this, calls of Ray after its end would start a new cluster on this machine.
+        # Without this, calls of Ray after its shutdown would start a new cluster on this machine.
         os.environ.setdefault("RAY_ENABLE_AUTO_CONNECT", "0")
         try:
             import ray
@@ -78,7 +78,7 @@ class Cluster:
 
     def _connect(self) -> None:
         import ray
-        from psutil import Process  # Ray brings it along
+        from psutil import Process  # included in Ray
 
         # Without "local", Ray would use any cluster that was started on this machine.
         address = self._address or os.environ.get("RAY_ADDRESS") or "local"
@@ -87,14 +87,14 @@ class Cluster:
         before, on_term = set(Process().children()), signal.getsignal(signal.SIGTERM)
         try:
             ray.init(address, log_to_driver=False, include_dashboard=False, logging_level="ERROR")
-        except Exception as error:  # Ray raises this class itself if a node starts too slowly
+        except Exception as error:  # Ray raises a plain Exception if a node starts too slowly
             raise ClusterError(
                 f"a Ray cluster cannot be reached or started (address {address}): {error}"
             ) from None
         self._connected = True
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, on_term)  # Ray's own handler would end the process at once
-        # Include their children: without the head, some of Ray's agents would never end.
+        # Include the children of Ray's processes: without the head, some agents of Ray would never end.
         for process in set(Process().children()) - before:
             self._processes += [process, *process.children(recursive=True)]
 
@@ -114,7 +114,7 @@ class Cluster:
 
     @property
     def cores(self) -> int:
-        """Number of cores of the cluster now, at least 1. Nodes may join and leave at any time.
+        """Current number of cores in the cluster, at least 1. Nodes may join and leave at any time.
 
         Raises:
             ClusterError: the cluster was lost.
@@ -239,14 +239,14 @@ def _check_reachable(address: str) -> None:
 def chunk_sizes(count: int, workers: int, least: int = 1) -> list[int]:
     """Return the sizes of chunks that keep all workers busy until the end of a generation.
 
-    The chunks become smaller: in each round, every worker gets an equal part of half of the remaining
-    genomes (factoring, Hummel et al. 1992, Communications of the ACM 35(8)). Large chunks cost less per
+    The chunks become smaller: in each round, half of the remaining genomes are divided equally among the
+    workers (factoring, Hummel et al. 1992, Communications of the ACM 35(8)). Large chunks cost less per
     genome, and small chunks at the end shorten the wait for the last worker.
 
     Args:
         count: number of genomes.
         workers: number of workers.
-        least: least number of genomes in a chunk, except the last.
+        least: minimum number of genomes in a chunk, except in the last one.
     """
     sizes: list[int] = []
     while count > 0:
@@ -262,14 +262,14 @@ class RayEvaluator(Evaluator):
 
     Args:
         address: see `Cluster`.
-        share: share of the cluster's cores that this evaluator should fill, in (0, 1]. It may use all
-            cores, but a smaller share makes the chunks larger.
+        share: share of the cluster's cores, in (0, 1], for which `split` divides the genomes. A smaller
+            share makes the chunks larger. The tasks may still run on all cores.
     """
 
     def __init__(self, address: str | None = None, share: float = 1.0) -> None:
         self._cluster = Cluster(address)
         self._share = share
-        self._genome_s = math.inf  # time to evaluate a genome, as in the last job
+        self._genome_s = math.inf  # time per genome in the last job
 
     def __enter__(self) -> Self:
         self._cluster.__enter__()

@@ -45,7 +45,7 @@ def lock(folder: Path) -> IO[bytes]:
     """Lock a folder until the file is closed or the process ends."""
     with explain_errors(folder / ".lock"):
         file = _open_lock(folder, os.O_RDWR | os.O_CREAT)
-    for _ in range(_LOCK_ATTEMPTS):  # `is_in_use` holds the lock briefly
+    for _ in range(_LOCK_ATTEMPTS):  # retry, because `is_in_use` may hold the lock briefly
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return file
@@ -56,13 +56,13 @@ def lock(folder: Path) -> IO[bytes]:
 
 
 def _open_lock(folder: Path, flags: int) -> IO[bytes]:
-    """Open the lock of a folder. This never waits, whatever kind of file it is."""
+    """Open the lock file of a folder. This does not block, even if the file is a named pipe."""
     descriptor = os.open(folder / ".lock", flags | os.O_NONBLOCK, 0o666)
     return open(descriptor, "rb", buffering=0)
 
 
 def _check_kind(path: Path) -> None:
-    """Refuse a pipe or device as the file or its rollback journal, because it can block forever."""
+    """Raise an error if the file or its rollback journal is a pipe or device, which could block."""
     for file in (path, path.with_name(f"{path.name}-journal")):
         if file.exists() and not file.is_file():
             raise JournalError(f"{file} is not a regular file; remove it, or restore a copy of the run")
@@ -80,8 +80,8 @@ def connect_to_write(path: Path, stack: ExitStack) -> sqlite3.Connection:
 def connect_to_read(path: Path, stack: ExitStack) -> sqlite3.Connection:
     """Open a file for reading until `stack` is closed. This needs no write access.
 
-    If a process was killed while it wrote, SQLite has to undo the last transaction. This is done
-    in a copy.
+    If a process was killed while it wrote, SQLite has to undo the last transaction. This function
+    then opens a temporary copy, in which SQLite can do so.
     """
     _check_kind(path)
     uri = f"{path.resolve().as_uri()}?mode=ro"

@@ -22,11 +22,11 @@ OnProgress = Callable[[float], None]  #: called with the share that is evaluated
 
 
 class Job(NamedTuple):
-    """Work for one worker: P genomes to simulate from the start, or from a state, to a time."""
+    """Work for one worker: P genomes to simulate until `end_s`, from time 0 or from a recorded state."""
 
     genomes: Array  #: (P, n), values in [0, 1]
     end_s: float = EPISODE_S
-    start: CrawlState | None = None  #: state to continue from; None means the start
+    start: CrawlState | None = None  #: state to continue from; None means time 0
 
 
 class Result(NamedTuple):
@@ -56,8 +56,8 @@ class Evaluator(Protocol):
 
         Args:
             encoding: maps the genomes to robots.
-            jobs: the work.
-            on_progress: called with the share of the next job that is done, in [0, 1].
+            jobs: jobs to run.
+            on_progress: called with the completed share, in [0, 1], of the job whose result comes next.
         """
         ...
 
@@ -100,7 +100,7 @@ def run_jobs(
     first: float = 0.0,
     last: float = 1.0,
 ) -> Generator[Result, None, None]:
-    """Yield the result of each job, and report a progress that rises from `first` to `last`."""
+    """Yield the result of each job, and report the progress on a scale from `first` to `last`."""
     sizes = [len(job.genomes) for job in jobs]
     number = 0
 

@@ -43,7 +43,7 @@ from evolution.run.database import (
 
 FILE = "journal.sqlite"
 _PACKAGES = ("caterpillar-sma", "mujoco", "numpy", "scipy", "cma")
-FAILURES = {failure.label: failure for failure in Failure}  #: by the name in tables
+FAILURES = {failure.label: failure for failure in Failure}  #: by `Failure.label`
 
 
 class Evaluation(NamedTuple):
@@ -128,7 +128,7 @@ class Journal:
         """
         path = folder / FILE
         partial = path.with_name(f".{FILE}.partial")
-        advice = "Nothing was recorded; start the run again where there is space"
+        advice = "Nothing was recorded; start the run again in a folder with enough disk space"
         with explain_errors(path, advice=advice), closing(lock(folder)):
             if path.exists():
                 raise JournalError(f"{path} exists already; resume that run, or choose another folder")
@@ -203,7 +203,7 @@ class Journal:
         )
 
     def _parse(self, text: Any, what: str) -> dict[str, Any]:
-        """Parse a JSON object. If it has no digest, damage to it may be detected only here."""
+        """Parse a JSON object, and report anything else as damage. `what` names it in the message."""
         try:
             data = parse_json(text)
         except (TypeError, ValueError, RecursionError) as error:
@@ -296,7 +296,7 @@ def _now() -> str:
 
 
 def read_simulated_s(folder: Path) -> float:
-    """Return the simulated seconds of a run so far, or 0 without a journal.
+    """Return the simulated seconds of a run so far, or 0 if its journal cannot be read.
 
     To be fast enough for polling, this reads no genomes and checks no digests.
     """

@@ -1,4 +1,4 @@
-"""The main loop: ask the optimizer for genomes, evaluate and record them, and tell it their fitness.
+"""The main loop: ask for genomes, evaluate and record them, and tell the optimizer their fitness.
 
 A run is resumed by replaying it: a new optimizer proposes the same genomes again, and the journal
 supplies the outcomes of genomes that were evaluated before.
@@ -43,7 +43,7 @@ def evolve(
     Args:
         config: configuration of the run.
         folder: run folder. It is created if needed, and must be empty.
-        evaluator: evaluates the genomes; by default, all usable cores of this machine.
+        evaluator: evaluates the genomes; by default, a `LocalEvaluator` that uses all cores.
         optimizer: your own optimizer instead of `config.optimizer`, see
             `evolution.optimizers.base.Optimizer`.
         objective: your own objective instead of `config.objective`. Takes the `Outcomes` of P robots and
@@ -83,7 +83,7 @@ def resume(
     on_progress: OnProgress | None = None,
     on_warning: Callable[[str], None] | None = None,
 ) -> History:
-    """Continue a run. A finished run is replayed, and evaluates nothing unless it is made longer.
+    """Continue a run. A finished run is only replayed, unless `generations` makes it longer.
 
     Args:
         folder: run folder.

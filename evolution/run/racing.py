@@ -1,7 +1,7 @@
 """Racing: after a few gait periods, only the best share of a generation is simulated to the end.
 
-The other robots are stopped early. This is not a failure. Their outcomes are recorded at that time, and
-`evolution.objective.stopped` identifies them.
+The other robots are stopped early, which is not a failure. Their recorded outcomes are those at the time
+of the stop. `evolution.objective.stopped` identifies these robots.
 """
 
 from __future__ import annotations
@@ -25,15 +25,16 @@ def race(
     evaluator: Evaluator,
     on_progress: OnProgress | None = None,
 ) -> Outcomes:
-    """Evaluate a generation of genomes (P, n), and stop all robots but the leaders early.
+    """Evaluate a generation of genomes (P, n), and stop all robots except the leaders early.
 
-    The leaders continue from their state, so that nothing is simulated twice.
+    The leaders are the best robots after `config.race_periods` gait periods. They continue from their
+    state, so that nothing is simulated twice.
 
     Args:
         genomes: array of shape (P, n) with values in [0, 1].
-        config: the mapping from genomes to robots, and the share and the periods of the race.
-        objective: orders the robots.
-        evaluator: simulates them.
+        config: gives the encoding, `race_share`, `race_periods` and the gait period.
+        objective: ranks the robots.
+        evaluator: simulates the robots.
         on_progress: called with the share that is evaluated, in [0, 1].
 
     Returns:
@@ -45,7 +46,7 @@ def race(
     encoding, stop_s = config.encoding, config.race_periods * config.gait_period_s
     count = math.ceil(config.race_share * len(genomes))
     first_s = stop_s * len(genomes)
-    first_share = first_s / (first_s + (EPISODE_S - stop_s) * count)  # share of the work
+    first_share = first_s / (first_s + (EPISODE_S - stop_s) * count)  # share of the simulated time
     jobs = [Job(chunk, stop_s) for chunk in evaluator.split(genomes)]
     results = list(run_jobs(evaluator, encoding, jobs, on_progress, 0.0, first_share))
     outcomes = Outcomes.join(r.outcomes for r in results)
@@ -60,7 +61,7 @@ def race(
 
 
 def leaders(fitness: Array, count: int) -> Rows:
-    """Return the indices of the best `count` robots, ascending. Robots with -inf never lead.
+    """Return the indices of the best `count` robots, ascending. Robots with fitness -inf are left out.
 
     Ties go to the first robot.
     """
