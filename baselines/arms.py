@@ -33,7 +33,7 @@ class TrainArm:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], base: Mapping[str, Any]) -> TrainArm:
-        """Make an arm from its settings and the physics of the study's base.
+        """Make an arm from its settings and the `physics` in the table `base` of the study.
 
         Raises:
             CaterpillarError: the base sets a gait period that differs from that of the environments.

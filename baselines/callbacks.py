@@ -43,7 +43,8 @@ class ZeroActions(BaseCallback):
 class RareFlips(BaseCallback):
     """Sets the probability of 1 in the actions of an untrained policy in switch mode.
 
-    With `Interface` and the prior of the gait, 1 flips a switch of the gait at the prior's peak.
+    With `Interface` and the prior of the gait, an action of 1 inverts whether a spring is powered in the
+    gait at the prior's peak.
 
     Args:
         probability: probability of 1, in (0, 1).

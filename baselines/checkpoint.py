@@ -56,7 +56,7 @@ def save(folder: Path, number: int, model: BaseAlgorithm, more: dict[str, Any]) 
 
 
 def load(folder: Path, number: int, model: BaseAlgorithm) -> dict[str, Any]:
-    """Restore a new algorithm from the checkpoint after an evaluation, and return `more` of `save`.
+    """Restore a new algorithm from the checkpoint after an evaluation. Return what `save` got as `more`.
 
     Raises:
         CaterpillarError: the file is missing, damaged, or of another algorithm.

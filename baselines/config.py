@@ -29,7 +29,8 @@ ENVIRONMENTS: dict[ActionMode, str] = {
 POPULATION = 8  #: number of bodies that CMA-ES proposes per generation
 ROBOTS_PER_BODY = 2  #: number of robots that crawl in each of these bodies
 HYPERPARAMETERS = Path(__file__).with_name("hyperparams")
-# Limits of overrides. Other numbers are in [0, 1], or positive integers.
+# Bounds of overridden values. Other floats are in [0, 1]; other integers are at least 1, or 0 if the
+# default is 0.
 _BOUNDS = {"log_std_init": (-20.0, 2.0), "reach": (0.0, 0.5), "batch_size": (2, 1_000_000)}
 _MOST_LAYERS, _MOST_UNITS = 8, 4096  # of a network
 _PERIODS_PER_EPISODE = round(EPISODE_S / GAIT_PERIOD_S)
@@ -47,7 +48,8 @@ class TrainConfig:
     #: actions. phase: delays and duties for a period; timing: on and off times for a period; switch:
     #: springs on or off for 0.5 s
     mode: ActionMode = "phase"
-    prior: GaitPrior = "gait"  #: gait: learn changes of the best wave; uniform: learn from scratch
+    #: gait: learn changes to the best wave of the prior; uniform: learn from scratch
+    prior: GaitPrior = "gait"
     open_loop: bool = False  #: choose one action per episode (a bandit); not in switch mode
     design: Design = "fixed"  #: fixed: one body; uniform, body: CMA-ES evolves the body from this prior
     seed: int = 0  #: seed of the training run; for the forces of the springs, see --mismatch-seed
@@ -162,7 +164,7 @@ class Hyperparameters(NamedTuple):
 
 
 def hyperparameters(config: TrainConfig) -> Hyperparameters:
-    """Read `hyperparams/ALGORITHM.yml`, override values, and adapt it to bandits and co-design.
+    """Read `hyperparams/ALGORITHM.yml`, apply overrides, and adapt the values to bandits and co-design.
 
     Raises:
         CaterpillarError: the algorithm does not support the environment's action space, or an override
@@ -198,7 +200,7 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
 
 
 def _override(model: dict[str, Any], interface: dict[str, Any], entry: str) -> None:
-    """Replace a number or a list by the value of a text NAME=VALUE."""
+    """Apply an override `NAME=VALUE`, whose value is a number or a list."""
     policy: dict[str, Any] = model["policy_kwargs"]
     tables = {"": model, "policy_kwargs.": policy, "interface.": {"observe": None} | interface}
     known = {
@@ -243,7 +245,7 @@ def make_configuration(config: TrainConfig) -> dict[str, Any]:
 
 
 def is_same(configuration: Mapping[str, Any], config: TrainConfig) -> bool:
-    """Return whether a journal has the settings of a training run and the present hyperparameters."""
+    """Return whether a journal has the settings of `config` and the current hyperparameters."""
     try:
         recorded = read_settings(configuration)
     except CaterpillarError:
@@ -263,7 +265,7 @@ def read_settings(configuration: Mapping[str, Any]) -> TrainConfig:
 
 
 def is_evaluated_as_recorded(configuration: Mapping[str, Any], config: TrainConfig) -> bool:
-    """Return whether a journal has the present hyperparameters, except those that affect only learning.
+    """Return whether a journal has the current hyperparameters, except those that affect only learning.
 
     Args:
         configuration: configuration from the journal.
@@ -286,8 +288,8 @@ def is_evaluated_as_recorded(configuration: Mapping[str, Any], config: TrainConf
 class Training(NamedTuple):
     """A training run and its record.
 
-    Each evaluation of `history` is one episode of the deterministic policy. Its genome is the body. Its
-    `simulated_s` includes the training since the previous evaluation.
+    Each evaluation of `history` is one episode of the deterministic policy. The genome of an evaluation
+    encodes the body. Its `simulated_s` includes the training since the previous evaluation.
     """
 
     config: TrainConfig

@@ -25,9 +25,10 @@ GaitPrior = Literal["uniform", "gait"]
 
 
 class Interface(VecEnvWrapper):
-    """Wraps robots so that actions are changes of the gait at the peak of evolution's prior.
+    """Wraps a `VecEnv` so that actions are changes to the gait at the peak of evolution's prior.
 
-    With the prior `gait`, an action of zeros makes the wave at the peak of K_4 and K_5, see `best_wave`.
+    With the prior `gait`, an action of zeros makes the wave at the peak of the key design parameters K_4
+    (stroke) and K_5 (advance), see `best_wave`.
     In timing and phase mode, -1 and 1 move a time, a delay or a duty of this wave by `reach`. In
     switch mode, 0 leaves a spring as in the wave, and 1 inverts whether it is powered. With the prior
     `uniform`, actions are those of the environment.
@@ -38,8 +39,8 @@ class Interface(VecEnvWrapper):
         prior: prior of the gait.
         reach: largest change, as a share of the period (of the largest duty for duties).
         action_repeat: `action_repeat` of the robots, in switch mode.
-        observe: entries of the observation to keep, by the part of their names before the colon; all by
-            default.
+        observe: kinds of observation entries to keep; the kind is the part of an entry's name before the
+            colon. By default, all entries are kept.
         physics: physics of the robots.
 
     Raises:
@@ -123,15 +124,15 @@ class Wave(NamedTuple):
     """A wave, and the action that makes it."""
 
     gait: GaitTimings  #: times of every spring
-    action: Array  #: in timing or phase mode; zeros in switch mode, in which a gait has many actions
+    action: Array  #: one action in timing or phase mode; zeros in switch mode, where a gait takes many
     circular: NDArray[np.bool_]  #: entries of the action for which -1 and 1 mean the same
 
 
 def best_wave(physics: Physics, mode: ActionMode) -> Wave:
-    """Return the wave at the peak of the gait's prior, which begins with the first dorsal pair.
+    """Return the wave at the peak of the gait's prior. It begins with the first dorsal pair.
 
     Raises:
-        CaterpillarError: two K_i disagree, so that the prior has no peak.
+        CaterpillarError: K_4 and K_5 disagree on a gene, so that the prior has no peak.
     """
     encoding = Encoding(physics, timing="phase")
     rows = make_priors(encoding, "gait")[len(NAMES) :]

@@ -90,7 +90,7 @@ class Policy:
 
     @classmethod
     def of(cls, model: BaseAlgorithm) -> Policy:
-        """Return the policy of an algorithm, which changes as the algorithm learns."""
+        """Return the policy of an algorithm. It changes as the algorithm learns."""
         env = model.get_env()
         return cls(model, None if env is None else unwrap_vec_wrapper(env, Interface))
 
@@ -105,7 +105,7 @@ class Policy:
         """
         acts = ("policy_kwargs.", "interface.")
         kept = tuple(entry for entry in config.override if entry.startswith(acts))
-        acting = replace(config, override=kept)  # values that affect only learning may need much memory
+        acting = replace(config, override=kept)  # drop the others: a large buffer would need much memory
         policy = cls.of(make_model(acting, make_training_env(acting, threads=1)))
         expected = policy._arrays()
         try:
@@ -207,14 +207,15 @@ class TrainedRobot:
 
     @classmethod
     def load(cls, path: Path, which: Which = "best") -> TrainedRobot:
-        """Load a policy with the body of its evaluation.
+        """Load a policy and the body with which it was evaluated.
 
         Args:
             path: folder of a training run, or a JSON file that `save` wrote.
             which: policy of a training run: the best one, or the last one.
 
         Raises:
-            CaterpillarError: there is no training run and no robot, or no such policy yet.
+            CaterpillarError: the path has neither a training run nor a robot, or the training run has no
+                such policy yet.
         """
         if path.is_file() or path.suffix == ".json":
             advice = "give the folder of a training run, or the JSON file of a robot with a policy"
@@ -229,7 +230,7 @@ class TrainedRobot:
         if which == "last" and history.evaluations:
             evaluation = history.evaluations[-1]
         if evaluation is None:
-            why = "no policy was evaluated yet"
+            why = "no policy has been evaluated yet"
             if history.evaluations:
                 why = "no policy crawled forwards without failing; use --which last"
             raise CaterpillarError(f"{folder} contains no {which} policy: {why}")
@@ -272,7 +273,7 @@ class TrainedRobot:
         return self.policy.crawl(env, seed, self.morphology, on_interval)
 
     def with_physics(self, **changes: Any) -> TrainedRobot:
-        """Return the robot with other values of fields of `Physics`."""
+        """Return a copy of the robot with changed fields of `Physics`."""
         return replace(self, physics=replace(self.physics, **changes))
 
     @property

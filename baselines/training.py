@@ -44,10 +44,10 @@ def train(
 ) -> Training:
     """Train a policy and record the training run in a new folder.
 
-    The folder gets a journal, the last policy (`last.npz`), the best policy (`best.npz`), which belongs
-    to `History.best`, and a checkpoint. A KeyboardInterrupt ends the training; `resume` continues it.
-    PyTorch runs on one thread and all global generators are seeded, so a repeated or resumed training
-    run gives identical results.
+    The folder gets a journal, the last policy (`last.npz`) and the best policy (`best.npz`), which
+    belongs to `History.best`. Until the training is finished, the folder also has a checkpoint. A
+    KeyboardInterrupt stops the training; `resume` continues it. PyTorch runs on one thread and
+    all global generators are seeded, so a repeated or resumed training run gives identical results.
 
     Args:
         config: configuration of the training run.
@@ -129,7 +129,8 @@ def _run(recorder: _Recorder, model: BaseAlgorithm) -> None:
             callbacks.append(recorder.designs)
         over = bool(history.generations) and recorder.restore(model)
         try:
-            while not over:  # a robot that fails simulates less than a full step
+            # `learn` may spend less time than asked, because robots that fail simulate less than a step.
+            while not over:
                 steps = max(int((config.budget_s - recorder.spent_s) / robots.vector_env.step_s), 1)
                 model.learn(steps, callback=callbacks, reset_num_timesteps=not model.num_timesteps)
         except _BudgetSpent:
@@ -143,7 +144,11 @@ def _run(recorder: _Recorder, model: BaseAlgorithm) -> None:
 
 
 def _check_budget(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
-    """Return the maximum simulated seconds of one step of all robots and two evaluations."""
+    """Return the maximum simulated seconds of one step of all robots and two evaluations.
+
+    Raises:
+        CaterpillarError: the budget is smaller.
+    """
     count, budget_s = robots.num_envs, config.budget_s
     reserve_s = count * robots.vector_env.step_s + 2 * EPISODE_S
     if reserve_s > budget_s:
@@ -195,11 +200,11 @@ class _Recorder(BaseCallback):
         return round(sum(crawl.simulation.simulated_s for crawl in crawls) - self._counted_s, 6)
 
     def restore(self, model: BaseAlgorithm) -> bool:
-        """Restore a new algorithm and the co-design. Return whether the last evaluation was made."""
+        """Restore a new algorithm and the co-design. Return whether the budget was already spent."""
         more = checkpoint.load(self.history.folder, len(self.history.generations) - 1, model)
         if self.designs is not None:
             self.designs.restore(more)
-        self._save(Policy.of(model))  # the process may have been killed before this
+        self._save(Policy.of(model))  # in case the process was killed before it saved the policy
         self._restored = True
         return bool(more["last"])
 
@@ -225,10 +230,10 @@ class _Recorder(BaseCallback):
         return True
 
     def evaluate(self, *, last: bool = False) -> None:
-        """Run one episode of the deterministic policy, and record it with the policy.
+        """Run one episode of the deterministic policy. Record the outcome, the policy and a checkpoint.
 
         Args:
-            last: whether this is the last evaluation.
+            last: whether this is the final evaluation of the training run.
         """
         config, history = self.config, self.history
         body, genome = config.morphology, config.morphology.to_unit()
@@ -240,7 +245,7 @@ class _Recorder(BaseCallback):
         self._counted_s += since_s
         more = {} if self.designs is None else self.designs.state()
         checkpoint.save(history.folder, number, self.model, more | {"last": last})
-        if not history.replay(genome[None]):  # recorded already if the process was killed here before
+        if not history.replay(genome[None]):  # already recorded if a session was killed below
             history.append(genome[None], outcome._replace(simulated_s=np.array([since_s])))
         history.complete()
         self._save(policy)

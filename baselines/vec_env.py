@@ -1,7 +1,8 @@
 """`CaterpillarVectorEnv` as a `VecEnv` of stable-baselines3.
 
-stable-baselines3 does not accept Gymnasium vector environments. It requires rows that reset within the
-step that ends an episode, and the info keys `terminal_observation` and `TimeLimit.truncated`.
+stable-baselines3 does not accept Gymnasium vector environments. It requires that each
+sub-environment (row) resets within the step that ends its episode, and the info keys
+`terminal_observation` and `TimeLimit.truncated`.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Predicts the advance of 200 random waves, with duties of 5 to 50 %, in the nominal body and in random
 bodies, and simulates the same robots for 30 s. Prints Spearman's correlation of advance and distance,
-where robots that fail count with their distance until then. Also prints median distances, where robots
-that fail count as 0. Takes a few minutes.
+where robots that fail count with the distance before the failure. Also prints median distances, where
+robots that fail count as 0. Takes a few minutes.
 """
 
 from __future__ import annotations

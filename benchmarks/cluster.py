@@ -32,9 +32,9 @@ from evolution.run.cluster import RayEvaluator, chunk_sizes
 from evolution.run.evaluators import evaluate
 
 GENOMES = 190  #: evaluations of a generation in the paper
-GENOME_S = 0.3  #: time of a robot that crawls for 30 s, on one core
+GENOME_S = 0.3  #: time to simulate 30 s of a robot on one core
 JOB_S = 0.05  #: additional time of a task (see docs/results/ray.md)
-FAILED = 0.06  #: share of robots that fail, at any time of the episode
+FAILED = 0.06  #: share of robots that fail, each at a random time of the episode
 NODES = 4
 
 
@@ -63,7 +63,7 @@ class StandIn(RayEvaluator):
         return (began, time.time(), get_runtime_context().get_worker_id()), sum(job.genomes)
 
     def generation(self, costs_s: Array) -> list[Task]:
-        """Evaluate a generation that costs these seconds, (P,)."""
+        """Evaluate a generation of P genomes that take `costs_s` seconds to simulate, (P,)."""
         parts = [self.scale * np.array([JOB_S, *part]) for part in self.split(costs_s)]
         jobs: Any = [SimpleNamespace(genomes=part.tolist()) for part in parts]
         encoding: Any = None
@@ -171,7 +171,7 @@ def tail_s(tasks: list[Task], cores: int) -> float:
 
 
 def measure_cost(repeats: int) -> list[dict[str, Any]]:
-    """Return the time per genome of the real simulation on one thread, for several sizes of a chunk."""
+    """Measure the time per genome of the real simulation on one thread, for several chunk sizes."""
     encoding, rng = RunConfig().encoding, np.random.default_rng(0)
     sizes, count = (1, 4, 32), 32
     spent: dict[int, list[float]] = {size: [] for size in sizes}

@@ -64,8 +64,8 @@ def _load(path: Path) -> tuple[TrainConfig, TrainedRobot | None]:
 def compare_policies(paths: Sequence[Path], conditions: Sequence[dict[str, Any]]) -> None:
     """Print distances of the best policies, under nominal and under unseen conditions.
 
-    The last column compares the mean over the unseen conditions with that of the first group: the
-    probability that a run of the group crawls farther.
+    The last column is the probability that a run of a group crawls farther than a run of the first
+    group. It compares the mean distances of runs over the unseen conditions.
 
     Raises:
         CaterpillarError: a path has neither a training run nor a robot with a policy.

@@ -56,7 +56,7 @@ class Shot(NamedTuple):
     failure: Failure
     speed: float  #: simulated seconds per second
     camera: Camera
-    physics: Physics | None = None  #: physics of random robots; by default, of robots of the study
+    physics: Physics | None = None  #: physics of random robots; None: film a robot of the study
 
 
 SHOTS = (
@@ -119,7 +119,7 @@ def failed_in_study(failure: Failure) -> Iterator[Robot]:
     table = polars.read_parquet(STUDY / "evaluations.parquet")
     found = table.filter(arm=ARM, failure=failure.label).sort("simulated_s", "seed", "evaluation")
     for row in found.iter_rows(named=True):
-        winner = Robot.load(STUDY / "winners" / ARM / f"seed-{row['seed']}.json")  # has the physics
+        winner = Robot.load(STUDY / "winners" / ARM / f"seed-{row['seed']}.json")  # for its physics
         body = np.clip([row[name] for name in NAMES], LOWER, UPPER)  # the table has float32
         pairs, period_s = pair_names(winner.physics.num_segments), winner.timings.period_s
         on_s, off_s = (

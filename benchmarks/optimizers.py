@@ -7,7 +7,7 @@
 All optimizers search waves with the priors of body and gait, and spend the same simulated time. Racing
 stops two thirds of each generation early, except for optimizers that propose single genomes. Ten seeds
 of one optimizer take about 20 minutes on two cores. The file `runs.csv` of the folder holds the results
-of finished runs. Repeat the command to make the missing runs and print a table of all runs.
+of finished runs. Repeat the command to start the missing runs and print a table of all runs.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def main() -> None:
                 continue
             rows.append(finished.result())
             polars.DataFrame(rows).sort("optimizer", "seed").write_csv(file)
-    table = polars.DataFrame(rows).sort("optimizer", "seed")  # on whose order the bootstrap depends
+    table = polars.DataFrame(rows).sort("optimizer", "seed")  # the bootstrap depends on the order
     parts = {name: table.filter(optimizer=name) for name in NAMES}
     best_mm = {name: part["best_mm"].to_numpy() for name, part in parts.items() if len(part)}
     others = [name for name in best_mm if name != "shade" and "shade" in best_mm]

@@ -59,7 +59,7 @@ class Asked:
 
 
 def start(config: RunConfig) -> tuple[Array, Array]:
-    """Return the peak and the width of each gene's prior, where an evolution strategy begins."""
+    """Return the peak and the width of each gene's prior, with which evolution strategies begin."""
     shapes = config.distributions()
     peaks = [d.mu if isinstance(d, Gaussian) else 0.5 for d in shapes]
     widths = [min(d.sigma, 0.3) if isinstance(d, Gaussian) else 0.3 for d in shapes]

@@ -49,7 +49,7 @@ class EngineCalls:
 
 
 def record_calls(simulation: Simulation, step: Step, steps: int) -> EngineCalls:
-    """Record the engine calls that `step` makes. Reset the simulation just before."""
+    """Record the engine calls that `step` makes. The caller resets the simulation just before."""
     recorded, engine = EngineCalls(list(simulation.models), []), simulation.engine
 
     class Recorder:

@@ -101,10 +101,10 @@ def compare_costs(count: int, repeats: int, worlds: Sequence[str] = WORLDS) -> N
 
 
 def compare_winners(folder: Path) -> None:
-    """Print the distances of the best robot of every run of a study in the world of every arm.
+    """Test the best robot of every run of a study in the worlds of all arms, and print the distances.
 
-    Random worlds are also tested with another seed. Further tables have the failures of these robots and
-    their bodies.
+    Random worlds are also tested with another seed. Further tables show the failures and the bodies of
+    these robots.
     """
     config = load(folder)
     winners: dict[str, list[Robot]] = {}

@@ -16,7 +16,7 @@ env = gymnasium.make_vec(
     terminate_on_failure=False,  # so that all episodes end together
 )
 env.reset(seed=0)
-gait = wave_robot().timings.to_action()  # a wave from the tail that was designed by hand
+gait = wave_robot().timings.to_action()  # a wave designed by hand; it travels from tail to head
 for _ in range(env.spec.max_episode_steps):
     *_, infos = env.step(np.tile(gait, (NUM_ROBOTS, 1)))
 for body, distance_m, failure in zip(bodies, infos["distance"], infos["failure"], strict=True):

@@ -1,7 +1,7 @@
 """Build the page in `web/dist`: `python web/build.py`. It needs Node with npm.
 
-The page simulates the robot in the browser. What it has in common with the Python package is exported
-from there to `web/src/data.json`: the model, all numbers, and the winners of the published study.
+The page simulates the robot in the browser. This script exports the data that the page shares with the
+Python package to `web/src/data.json`: the model, all numbers, and the winners of the published study.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def export_data() -> dict[str, Any]:
         "spring": asdict(spring) | {name: getattr(spring, name) for name in derived} | {"nodes": NODES},
         "colours": spring_rgb(spring, ramp_c).round(4).tolist(),
         "model": _parametrize(physics),
-        # The effect of `trim_tendons`, which XML cannot carry
+        # `trim_tendons` changes these arrays, but XML cannot store them
         "tendons": {name: getattr(model, name).tolist() for name in ("ten_J_rownnz", "ten_J_colind")},
         "search": {
             "population": study.arms["shade"].config.shade.shade_population,
@@ -81,8 +81,9 @@ def export_data() -> dict[str, Any]:
 def _parametrize(physics: Physics) -> dict[str, Any]:
     """Return the XML of robots as pieces of text, and the numbers between them.
 
-    Every number is a linear combination of 1, the body's parameters, and 1 / q^2. The coefficients are
-    fitted to the XML of random bodies with taut springs, and must give all its numbers.
+    Every number is a linear combination of 1, the body's parameters, and 1 / q^2, where q is
+    `joint_limit_rad`. The coefficients are fitted to the XML of random bodies with taut springs, and
+    must reproduce every number in it.
     """
     rng = np.random.default_rng(0)
     bodies = [Morphology.from_unit(unit) for unit in 0.1 + 0.9 * rng.random((_PROBES, len(PARAMETERS)))]
@@ -126,7 +127,7 @@ def _read_winner(path: Path, physics: Physics) -> dict[str, Any]:
 
 
 def find_npm() -> str | None:
-    """Return the path of npm, or None without a Node that is new enough."""
+    """Return the path of npm, or None if Node is missing or has an unsupported version."""
     node, npm = shutil.which("node"), shutil.which("npm")
     if node is None or npm is None:
         return None
@@ -139,11 +140,11 @@ def build_page() -> Path:
     """Export the data, install the packages of the lock file, build the page and return its folder.
 
     Raises:
-        SystemExit: Node is missing or too old, or npm failed.
+        SystemExit: Node is missing or has an unsupported version, or npm failed.
     """
     npm = find_npm()
     if npm is None:
-        raise SystemExit(f"building the page needs Node {_NODE}, with npm; none was found")
+        raise SystemExit(f"building the page needs Node {_NODE}, with npm; no such version was found")
     (WEB / "src" / "data.json").write_text(json.dumps(export_data()), encoding="utf-8")
     installed, lock = WEB / "node_modules" / ".package-lock.json", WEB / "package-lock.json"
     if not installed.exists() or installed.stat().st_mtime < lock.stat().st_mtime:
@@ -159,7 +160,7 @@ def build_page() -> Path:
 
 def _run(*command: str) -> None:
     if subprocess.run(command, cwd=WEB, check=False).returncode:
-        raise SystemExit(f"{' '.join(command)} failed in {WEB}; its own message is above")
+        raise SystemExit(f"{' '.join(command)} failed in {WEB}; see its message above")
 
 
 if __name__ == "__main__":

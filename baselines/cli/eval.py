@@ -28,7 +28,7 @@ class EvalArgs:
     which: Literal["best", "last", "random"] = "best"
     """Policy to evaluate: the best one, the last one, or random actions."""
     episodes: int = 1
-    """Number of episodes with random actions. A policy repeats the same episode."""
+    """Number of episodes, only for random actions; a policy would repeat the same episode."""
     frictions: tuple[float, ...] = ()
     """Friction coefficients to evaluate with; by default, the one of the training run."""
     mismatch_seeds: tuple[int, ...] = ()
@@ -55,7 +55,8 @@ class EvalArgs:
 def eval_command(argv: Sequence[str]) -> int:
     """Evaluate a trained policy, optionally under different conditions."""
     args = cli.parse(EvalArgs, argv, "rl eval")
-    # Random actions need the settings only. A run may have no best policy, and a JSON file has no last.
+    # Random actions need only the settings, so load a policy that exists: a run may have no best policy,
+    # and a JSON file has no last one.
     which: Which = "best" if args.robot.is_file() else "last"
     robot = TrainedRobot.load(args.robot, which if args.which == "random" else args.which)
     if args.timestep_s is not None:

@@ -24,7 +24,7 @@ _WIDTH_IN = 6.0  # readable on a phone
 
 
 def save(figure: Figure, path: Path, advice: str = COPY) -> None:
-    """Write a figure in the format that the suffix of the file name gives.
+    """Write a figure in the format of the file's suffix.
 
     Raises:
         CaterpillarError: the format is unknown, or the file cannot be written; the message ends with

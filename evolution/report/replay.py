@@ -26,7 +26,7 @@ _COLOURS = 64  # number of spring colours, from ambient temperature to the cut-o
 
 
 def encode(recording: Recording) -> dict[str, Any]:
-    """Return what `replay.js` draws, for JSON.
+    """Return the data that `replay.js` draws, ready for JSON.
 
     Arrays are in base64, little-endian, with a row per frame. Positions are in m.
     """
@@ -52,7 +52,7 @@ def encode(recording: Recording) -> dict[str, Any]:
         "duration_s": recording.duration_s,
         "interval_s": stride * SMA_STEP_S,
         "elements": elements,
-        "upright": rotation_to(world.up).tolist(),  # from a frame with vertical z to that of the ground
+        "upright": rotation_to(world.up).tolist(),  # from a frame with vertical z to the ground's frame
         "ground": None if world.level else _sample(world, centres_m, recording.body_length_m),
         "shapes": [
             _shape(model, geom)
@@ -74,8 +74,10 @@ def encode(recording: Recording) -> dict[str, Any]:
 def _locate(
     model: mujoco.MjModel, world: World, elements: int, qpos: Array
 ) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Return the poses of the elements in K frames, (K, elements, 7), whether parts touch the ground,
-    (K, parts), and centres of mass, m, (K, 3).
+    """Return poses of elements, contacts of parts, and centres of mass in K frames.
+
+    Poses are positions (m) and quaternions, (K, elements, 7). Contacts are True where a part touches the
+    ground, (K, parts). Centres of mass are in m, (K, 3).
     """
     data = mujoco.MjData(model)
     parts, half_axes = touching_geoms(model), half_axes_m(model)
@@ -107,7 +109,7 @@ def _sample(world: World, centres_m: Array, length_m: float) -> dict[str, Any]:
 
 
 def _shape(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
-    """Return an ellipsoid by its half axes, columns of a 3x3 matrix, or a capsule by its two ends."""
+    """Describe an ellipsoid with its half axes (columns of a 3x3 matrix), or a capsule with its ends."""
     *rgb, opacity = model.geom_rgba[geom].tolist()
     size = np.where(model.geom_size[geom] > 0, model.geom_size[geom], model.geom_size[geom, 0])
     flat, centre = np.empty(9), model.geom_pos[geom]

@@ -1,4 +1,4 @@
-"""The page of a run: its settings, its results, and how to see its robots, in one HTML file."""
+"""The page of a run: its settings, its results and its best robot, in one HTML file."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Studies: several configurations (arms) with several seeds each, and the same simulated time for all.
 
 `config` describes a study, `arms` has the kinds of runs, and `cells` runs them. `results` reads the
-finished runs, `statistics` has the formulas, and `analysis` compares the arms. `winners` simulates the
-best robot of each arm again, and `report` writes figures and a page.
+finished runs, and `statistics` has the formulas. `times`, `trends` and `analysis` compare the arms.
+`winners` simulates the best robots again. `figures` draws the figures, and `report` writes the page.
 """

@@ -31,7 +31,7 @@ TARGETS = 50
 
 
 class Distances(NamedTuple):
-    """Best distances of the runs of an arm at a simulated time."""
+    """Best distances that the runs of an arm have reached at a simulated time."""
 
     arm: str
     runs: int
@@ -43,7 +43,7 @@ class Distances(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """Best distances of an arm after some generations."""
+    """Best distances that the runs of an arm have reached after a number of generations."""
 
     arm: str
     runs: int  #: number of runs that completed these generations within the budget
@@ -151,7 +151,10 @@ def _gains(config: StudyConfig, runs: Runs, generations: int) -> list[Gain]:
 
 
 def _reference_generations(reached_m: Array, reference: list[Run]) -> Estimate:
-    """Estimate the generations of the median run of the reference to the median distance of an arm."""
+    """Estimate how many generations the reference's median run needs to reach an arm's distance.
+
+    The distance is the median of `reached_m`.
+    """
     find = cache(partial(count_generations, reference))
 
     def generations(values: Array, rows: Rows) -> float:
@@ -242,7 +245,7 @@ def format_estimate(estimate: Estimate | None, pattern: str = "{:.2f}", factor: 
 
 
 def _count_runs(number: int) -> str:
-    """Return a number of runs in words, such as `1 run`."""
+    """Return a number of runs with its unit, such as `1 run` or `2 runs`."""
     return f"{number} run" if number == 1 else f"{number} runs"
 
 

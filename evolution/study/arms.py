@@ -25,7 +25,7 @@ from evolution.run.history import History
 from evolution.run.journal import FAILURES, FILE, Journal
 from evolution.run.loop import evolve, resume
 
-_UNLIMITED = 1_000_000  # generations: the budget ends a run
+_UNLIMITED = 1_000_000  # maximum number of generations; the budget ends a run earlier
 
 
 class Arm(Protocol):
@@ -74,11 +74,12 @@ class Arm(Protocol):
             budget_s: budget of the run, simulated seconds.
 
         Raises:
-            CaterpillarError: the run now has other genomes, because the package or NumPy has changed.
+            CaterpillarError: the replayed genomes differ from the recorded ones, because the package or
+                NumPy has changed.
         """
 
     def robot(self, folder: Path, evaluation: int) -> AnyRobot:
-        """Return the robot of an evaluation of a finished run, by its number."""
+        """Return the robot that has the evaluation number `evaluation` in a finished run."""
 
     def load(self, path: Path) -> AnyRobot:
         """Read a robot from the JSON file that its `save` wrote.
@@ -135,7 +136,7 @@ def merge(base: Mapping[str, Any], special: Mapping[str, Any]) -> dict[str, Any]
 
 @dataclass(frozen=True)
 class EvolutionArm:
-    """Runs of an optimizer: the genetic algorithm, SHADE, CMA-ES or random search. See `Arm`."""
+    """An arm that runs the genetic algorithm, SHADE, CMA-ES or random search. See `Arm`."""
 
     config: RunConfig
     restorable: ClassVar[bool] = True
@@ -160,7 +161,7 @@ class EvolutionArm:
         return replace(self.config, seed=seed, budget_s=budget_s, generations=_UNLIMITED)
 
     def run(self, folder: Path, seed: int, budget_s: float, evaluator: Evaluator) -> bool:
-        """Evolve, or resume from a journal, whose budget may be smaller."""
+        """Start a run, or resume it from its journal. The journal may have a smaller budget."""
         if (folder / FILE).exists():
             with Journal(folder) as journal:
                 History(journal).configure(self.run_config(seed, budget_s))
@@ -189,7 +190,7 @@ class EvolutionArm:
                     raise CaterpillarError(
                         f"{folder} cannot be restored: the genomes of generation "
                         f"{len(history.generations)} differ from the recorded ones. The package or "
-                        "NumPy has changed; install the versions of the study, or start a new study"
+                        "NumPy has changed; install the versions that the study used, or start a new one"
                     )
                 history.append(genomes, _to_outcomes(generation))
                 outcomes = history.complete()

@@ -1,7 +1,7 @@
 """Runs the cells of a study, in processes of this machine or as tasks of a Ray cluster.
 
-A cell communicates with its study through its run folder only: progress is read from the journal, and a
-stopped cell continues from it.
+A cell is one run: an arm with a seed. It communicates with its study through its run folder only: the
+study reads the progress from the cell's journal, and a stopped cell continues from this journal.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Processes:
         self.count = count
         self._processes: list[multiprocessing.process.BaseProcess] = []
         self._ended = False
-        self._lock = threading.Lock()  # no process starts after the end
+        self._lock = threading.Lock()  # so that no process starts after `__exit__`
 
     def __enter__(self) -> Processes:
         return self
@@ -101,7 +101,7 @@ class RayTasks:
         address: address of the cluster (see `evolution.run.cluster.Cluster`).
     """
 
-    count = 1000  #: maximum number of cells that wait for a core at a time; Ray runs one per core
+    count = 1000  #: maximum number of cells that are submitted at a time; Ray runs one per core
 
     def __init__(self, address: str | None = None) -> None:
         self._cluster = Cluster(address)
@@ -147,7 +147,7 @@ def run_study(
 
     Args:
         config: the study.
-        folder: its folder (see `evolution.study.config.begin`).
+        folder: folder of the study (see `evolution.study.config.begin`).
         workers: object that runs the cells.
         on_progress: called twice a second with the number of cells that have ended, and with the
             completed share of the simulated seconds of all cells, in [0, 1].

@@ -47,14 +47,14 @@ class StudyConfig:
     arms: Mapping[str, Arm]
     seeds: tuple[int, ...] = ()
     budget_s: float = 0.0  #: simulated seconds of each run
-    long_seeds: tuple[int, ...] = ()  #: seeds with which the reference continues to `long_budget_s`
+    long_seeds: tuple[int, ...] = ()  #: seeds for which the reference runs until `long_budget_s`
     long_budget_s: float = 0.0  #: simulated seconds of the reference's longer runs
     reference: str = "ga-uniform"  #: arm that the other arms are compared with
     references: Mapping[str, str] = field(default_factory=dict)  #: by arm, if different from `reference`
-    #: Numbers of generations after which arms are compared. Only arms with the optimizer and the racing
-    #: of `reference` take part.
+    #: Numbers of generations after which arms are compared. Only arms with the same optimizer, optimizer
+    #: settings (except the mutation rate) and racing as `reference` take part.
     generations: tuple[int, ...] = (50,)
-    #: Thresholds in m. By default, the median distance of the reference after each of `generations`.
+    #: Thresholds in m. By default, the reference's median distance after each of `generations`.
     thresholds_m: tuple[float, ...] = ()
     compare_at_s: tuple[float, ...] = ()  #: simulated seconds at which distances are compared, too
     #: `base` and `arms` as given to `from_dict`.
@@ -153,7 +153,10 @@ class StudyConfig:
         return self.long_budget_s if is_long else self.budget_s
 
     def reference_of(self, arm: str) -> str:
-        """Return the reference of an arm, or the arm itself if `references` names it as a reference."""
+        """Return the reference of an arm: its entry in `references` or, without one, `reference`.
+
+        An arm that has no entry but is the reference of another arm is its own reference.
+        """
         return self.references.get(arm, arm if arm in self.references.values() else self.reference)
 
     def comparable(self) -> list[str]:
@@ -190,7 +193,7 @@ class StudyConfig:
 
 
 def _algorithm(run: RunConfig) -> tuple[Any, ...]:
-    """Return the settings that decide what a generation is. The mutation rate does not."""
+    """Return the settings that arms with comparable generations share. Mutation rates may differ."""
     ga = replace(run.ga, mutation_rate=0.0)
     return run.optimizer, ga, run.cma, run.shade, run.race_share, run.race_periods
 
@@ -206,7 +209,7 @@ def read_toml(path: Path) -> StudyConfig:
 
 
 def preset(name: str) -> StudyConfig:
-    """Read a study of this package, for example paper or ablation."""
+    """Read one of the package's preset studies, for example paper or ablation."""
     return read_toml(Path(__file__).with_name("presets") / f"{name}.toml")
 
 
@@ -245,7 +248,7 @@ def begin(config: StudyConfig, folder: Path) -> None:
 
 
 def load(folder: Path) -> StudyConfig:
-    """Read the study of a folder.
+    """Read the configuration of the study in a folder.
 
     Raises:
         CaterpillarError: the folder contains no study, or the study cannot be read.

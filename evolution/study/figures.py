@@ -125,7 +125,7 @@ def draw_speed_ups(analysis: Analysis) -> Figure | None:
 
 
 def draw_genes(analysis: Analysis) -> Figure | None:
-    """Draw the speed-up by a prior over the number of genes; None if no prior has several robots."""
+    """Draw the speed-up by a prior over the number of genes, or return None if there are no trends."""
     if not analysis.trends:
         return None
     figure, axis = _new_figure("ratio of expected running times")
@@ -144,7 +144,7 @@ def draw_genes(analysis: Analysis) -> Figure | None:
 
 
 def _bound(ratios: Array) -> Array:
-    """Return ratios within the range of the axis. Undefined ratios stay NaN."""
+    """Clip ratios to the range of the axis. Undefined ratios stay NaN."""
     bounded: Array = np.clip(ratios, 1 / _LARGEST_SPEED_UP, _LARGEST_SPEED_UP)
     return bounded
 

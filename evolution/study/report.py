@@ -1,4 +1,4 @@
-"""Writes the HTML page of a study."""
+"""Writes the figures and the HTML page of a study."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _CAPTIONS = {
     "that never reach it are censored at their budget.",
     "speed-up": "Ratio of expected running times, reference to arm, by the distance to reach, with 95 % "
     "intervals. A quarter of the reference's runs exceed the last distance. Triangles: no run of the "
-    "reference (up) or of the arm (down) reached that distance, in some resamples or at all.",
-    "genes": "Ratio of expected running times, reference of the same robot to arm, by the number of "
-    "genes, with 95 % intervals. Triangles: no run of the reference (up) or of the arm (down) reached "
-    "the threshold.",
+    "reference (up) or of the arm (down) reached that distance.",
+    "genes": "Ratio of expected running times, reference to arm, by the number of genes, with 95 % "
+    "intervals. An arm and its reference have the same robot. Triangles: no run of the reference (up) "
+    "or of the arm (down) reached the threshold.",
     "targets": "Share of 50 target distances reached, over all runs.",
 }
 

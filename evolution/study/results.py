@@ -20,9 +20,9 @@ from evolution.run.history import History
 from evolution.study.config import Cell, StudyConfig
 
 DATA = "evaluations.parquet"  #: name of the file with all evaluations of a study
-DIGEST = f"{DATA}.sha256"  #: name of the file with its digest, for `sha256sum --check`
+DIGEST = f"{DATA}.sha256"  #: name of the file with the digest of `DATA`, for `sha256sum --check`
 _GROUP_ROWS = 10_000
-_KEEP = "restore a copy of this file, or remove this file if the folders of all runs are there"
+_KEEP = "restore a copy of this file, or remove this file if the folders of all runs still exist"
 _OUTCOME = ("evaluation", "generation", "failure", "stopped", "distance_m", "energy_j", "simulated_s")
 
 
@@ -74,9 +74,10 @@ def read_kept(folder: Path) -> dict[Cell, polars.DataFrame]:
 
 
 def read_all(config: StudyConfig, folder: Path) -> dict[Cell, polars.DataFrame]:
-    """Return the evaluations of all runs that have begun, from their folders or the file `DATA`.
+    """Return the recorded evaluations of all runs, from their folders or the file `DATA`.
 
-    If a run is in both, the longer record counts. Only completed generations are included.
+    If a run is in both, the longer record counts. Only completed generations are included. A folder with
+    an unfinished run is read only if its arm is `restorable`.
     """
     kept, found = read_kept(folder), {}
     for cell in config.cells():
@@ -87,11 +88,15 @@ def read_all(config: StudyConfig, folder: Path) -> dict[Cell, polars.DataFrame]:
                 rows = recorded
         if rows is not None:
             found[cell] = rows
-    return found | kept  # nothing is lost if a study has fewer runs now
+    return found | kept  # keep the rows of runs that are no longer part of the study
 
 
 def is_finished(config: StudyConfig, cell: Cell, rows: polars.DataFrame | None) -> bool:
-    """Return whether the evaluations of a run use up its budget."""
+    """Return whether a run is finished, given its evaluations from `read_all`.
+
+    A restorable run is finished when its evaluations use up its budget. Of the other runs, `read_all`
+    returns the finished ones only.
+    """
     if rows is None:
         return False
     spent_s = float(rows["simulated_s"].sum())
@@ -102,7 +107,7 @@ def collect(config: StudyConfig, folder: Path) -> Results:
     """Read all runs of a study, write their evaluations into `DATA`, and return those of finished runs.
 
     Runs whose folders were deleted are taken from this file if an earlier call wrote it. The file also
-    has the completed generations of unfinished runs, which `run_study` continues.
+    has the completed generations of unfinished runs, from which `run_study` can continue.
     """
     found, file, digest = read_all(config, folder), folder / DATA, folder / DIGEST
     if found:
@@ -113,7 +118,8 @@ def collect(config: StudyConfig, folder: Path) -> Results:
             table.write_parquet(
                 content, compression="zstd", compression_level=15, row_group_size=_GROUP_ROWS
             )
-            with writing(digest, COPY):  # a process that is killed now leaves no wrong digest
+            # Delete the old digest first: a process that is killed must not leave a wrong one.
+            with writing(digest, COPY):
                 digest.unlink(missing_ok=True)
             write_bytes(file, content.getvalue(), COPY)
         if not digest.exists():
@@ -164,7 +170,7 @@ class Run(NamedTuple):
 
     @classmethod
     def of(cls, rows: polars.DataFrame, seed: int, budget_s: float) -> Run:
-        """Create the progress of a run from its evaluations in order, as in `History.table`."""
+        """Compute the progress of a run from its evaluations, ordered as in `History.table`."""
         generation, stopped = rows["generation"].to_numpy(), rows["stopped"].to_numpy()
         spent_s = _find_ends(rows["simulated_s"].to_numpy(), generation, stopped)
         count = int(np.searchsorted(spent_s, budget_s, side="right"))
@@ -205,8 +211,8 @@ class Run(NamedTuple):
 def _find_ends(simulated_s: Array, generation: NDArray[np.int64], stopped: NDArray[np.bool_]) -> Array:
     """Return the simulated seconds after which the outcome of each evaluation is known, (E,).
 
-    With racing, all robots of a generation crawl until the others are stopped, before any robot crawls
-    to the end.
+    Racing has two phases. First, all robots of a generation crawl until the slower ones are stopped.
+    Then the remaining robots crawl to the end, one after the other.
     """
     stop_s = simulated_s[stopped].max(initial=0.0)
     early_s = np.minimum(simulated_s, stop_s)

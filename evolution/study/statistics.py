@@ -20,7 +20,7 @@ from caterpillar_env.arrays import Array
 Flags = NDArray[np.bool_]
 
 LEVEL = 0.95  #: confidence level of all intervals
-FEWEST = 5  #: number of runs in the smallest group that has a bootstrap interval
+FEWEST = 5  #: minimum number of runs in a group for a bootstrap interval
 RESAMPLES = 4_999
 PERMUTATIONS = 4_999
 _SEED = 2009
@@ -94,7 +94,8 @@ def log_rank_statistic(time: Array, reached: Flags, first: Flags) -> float:
         first: True for runs of the first group, (n,).
 
     Returns:
-        The difference of observed and expected arrivals in the first group, in standard deviations.
+        The absolute difference between the observed and the expected number of runs of the first group
+        that reach the threshold, in standard deviations.
     """
     at, events = np.unique(time[reached], return_counts=True)
     risk, risk_first = (
@@ -144,20 +145,23 @@ def mann_whitney(a: Array, b: Array) -> float:
 
 
 def expected_running_time(time: Array, reached: Flags) -> float:
-    """Return the ERT: total time of all runs per run that reached the threshold (Hansen et al. 2021)."""
+    """Return the expected running time (ERT) to a threshold (Hansen et al. 2021).
+
+    This is the total time of all runs, divided by the number of runs that reached the threshold.
+    """
     successes = int(np.count_nonzero(reached))
     return float(np.sum(time)) / successes if successes else float("inf")
 
 
 def speed_up(time: Array, reached: Flags, reference_time: Array, reference_reached: Flags) -> float:
-    """Return the ratio of ERTs, reference to group. It is NaN if no run reached the threshold."""
+    """Return the reference's ERT divided by the group's, or NaN if no run reached the threshold."""
     ert = expected_running_time(time, reached)
     reference_ert = expected_running_time(reference_time, reference_reached)
     return float("nan") if np.isinf(ert) and np.isinf(reference_ert) else reference_ert / ert
 
 
 def bootstrap(statistic: Callable[..., float], *groups: tuple[NDArray[Any], ...]) -> Estimate:
-    """Estimate a statistic of groups of runs with the percentile interval of the bootstrap.
+    """Estimate a statistic of one or more groups of runs, with a percentile bootstrap interval.
 
     The quantiles are those of Hesterberg (2015), which are wider for small groups. The interval is NaN
     if the statistic is infinite or undefined, or if a group has fewer than `FEWEST` runs. Resamples in
@@ -219,7 +223,7 @@ def holm(p: Mapping[str, float], planned: int = 0) -> dict[str, float]:
 
     Args:
         p: p values by name.
-        planned: number of tests in the family, if some are missing.
+        planned: number of tests in the complete family, if some p values are not known yet.
     """
     corrected, largest, count = {}, 0.0, max(planned, len(p))
     for rank, name in enumerate(sorted(p, key=p.__getitem__)):

@@ -36,7 +36,7 @@ class Threshold(NamedTuple):
         return f"the reference's distance after {self.generations} generations"
 
     def find(self, reference: Sequence[Run]) -> Callable[[Rows], float]:
-        """Return a function from indices of the reference's runs to the threshold, m.
+        """Return a function that computes the threshold (m) from indices of the reference's runs.
 
         The threshold is NaN if these runs do not define it.
         """
@@ -62,13 +62,14 @@ class Times(NamedTuple):
     arm: str
     threshold_m: float  #: NaN if the runs of the reference do not define it
     runs: int
-    reached: int  #: number of runs that reach it within the budget of all arms
+    reached: int  #: number of runs that reach it within the study's `budget_s`
     median_s: Estimate  #: Kaplan-Meier
     median_generations: Estimate | None  #: the same in generations; None if not comparable
-    #: Generations that define the threshold per generation of the median run, as in the paper; 0 if
-    #: fewer than half of the runs reach it. None for a reference or a fixed threshold.
+    #: Speed-up in generations, as in the paper: the number of generations that defines the threshold,
+    #: divided by the number after which the arm's median run reaches it. 0 if fewer than half of the
+    #: runs reach it; None for a reference or a fixed threshold.
     acceleration: Estimate | None
-    running_time_s: Estimate  #: expected running time (ERT) within the budget of all arms
+    running_time_s: Estimate  #: expected running time (ERT) within the study's `budget_s`
     speed_up: Estimate | None  #: ratio of ERTs, reference to arm; None for a reference
     log_rank_p: float | None  #: against the reference, corrected over the arms (Holm)
 
@@ -87,7 +88,7 @@ def arrivals(runs: Sequence[Run], threshold_m: float, budget_s: float = np.inf) 
 def count_generations(runs: Sequence[Run], threshold_m: float) -> Arrivals:
     """Return each run's number of generations to a threshold, or to the end of the run, (n,).
 
-    The second array is that of `arrivals`.
+    The second array, (n,), is True where a run reached the threshold.
     """
     counts = np.array([run.generations_to(threshold_m) for run in runs])
     reached = np.isfinite(counts)
@@ -108,8 +109,8 @@ def find_times(config: StudyConfig, runs: Runs, threshold: Threshold) -> list[Ti
     """Return the times of all arms to a threshold.
 
     Where the threshold depends on the reference's runs, bootstrap intervals of running times and
-    speed-ups include its uncertainty: each resample has its own threshold. So does each permutation of
-    the log-rank test, unless some runs ended before the threshold is defined.
+    speed-ups include the uncertainty of the threshold: each resample has its own one. So does each
+    permutation of the log-rank test, unless some runs ended before the generation that defines it.
     """
     comparable, budget_s = config.comparable(), config.budget_s
     p = compare(config, runs, partial(_log_rank, threshold, budget_s=budget_s))
@@ -165,7 +166,7 @@ def indices(runs: Sequence[Run]) -> tuple[Rows]:
 
 
 def _log_rank(threshold: Threshold, runs: list[Run], reference: list[Run], *, budget_s: float) -> float:
-    """Return the p value of the log-rank test of runs within the same budget, from permutations."""
+    """Return the p value of a log-rank test with permutations, with all runs censored at `budget_s`."""
     both, known_m = [*runs, *reference], threshold.of(reference)
     find, level = cache(partial(arrivals, both, budget_s=budget_s)), threshold.find(both)
     is_fixed = np.isnan([run.best_after(threshold.generations) for run in both]).any()
@@ -178,7 +179,7 @@ def _log_rank(threshold: Threshold, runs: list[Run], reference: list[Run], *, bu
 
 
 def _accelerate(threshold: Threshold, runs: list[Run], reference: list[Run]) -> Estimate:
-    """Estimate the generations that define a threshold, per generation of the median run."""
+    """Estimate the speed-up in generations, see `Times.acceleration`."""
     level, find = threshold.find(reference), cache(partial(count_generations, runs))
 
     def acceleration(rows: Rows, base: Rows) -> float:
@@ -210,7 +211,7 @@ def _running_time(
 def speed_up_function(
     threshold: Threshold, runs: list[Run], reference: list[Run], *, budget_s: float
 ) -> Callable[[Rows, Rows], float]:
-    """Return a function from indices of both groups to the ratio of ERTs, reference to arm."""
+    """Return a function that computes the ratio of ERTs (reference to arm) from indices of runs."""
     level = threshold.find(reference)
     find, find_base = (cache(partial(arrivals, group, budget_s=budget_s)) for group in (runs, reference))
 

@@ -13,7 +13,7 @@ from evolution.study.config import StudyConfig
 from evolution.study.statistics import Estimate
 from evolution.study.times import Rows, Runs, Threshold, Times, indices, speed_up_function
 
-_LARGEST = 100.0  #: larger speed-ups, and the inverse of smaller ones, count as this ratio
+_LARGEST = 100.0  #: speed-ups are clipped to the range from 1 / 100 to 100
 
 
 class Trend(NamedTuple):

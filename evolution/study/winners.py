@@ -22,9 +22,9 @@ from evolution.study.results import Run, read_kept
 
 FINE = "0.25 ms"
 REFERENCE_TIMESTEP_S = 0.00025  #: timestep of the reference simulation, see docs/physics.md
-ARTEFACT_SHARE = 0.1  #: largest relative change of distance that is not an artefact
+ARTEFACT_SHARE = 0.1  #: larger relative changes of the distance mark an artefact
 
-#: Changes of the physics under which winners are simulated again, by the name in tables.
+#: Changes to the physics under which winners are simulated again, by their names in tables.
 CONDITIONS: dict[str, dict[str, Any]] = {
     FINE: {"timestep_s": REFERENCE_TIMESTEP_S},
     "Runge-Kutta": {"timestep_s": REFERENCE_TIMESTEP_S, "integrator": "rk4"},
@@ -43,7 +43,7 @@ _MEASURES = {
     "overrun": "overrun of a joint",
     "slip": "slip",
 }
-_AGAIN = "remove this file, and the next report makes it again"
+_AGAIN = "remove this file; the next report recreates it"
 _Key = tuple[str, int, float]  # arm, seed, recorded distance
 _Row = dict[str, Any]
 
@@ -65,20 +65,21 @@ class Winner(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """The best robots of all runs of an arm, simulated again under one of the `CONDITIONS`."""
+    """The best robot of each run of an arm, simulated again under one of the `CONDITIONS`."""
 
     arm: str
     condition: str
     robots: int
     failed: int  #: number of robots that fail
-    median_share: float  #: share of the recorded distance, over robots that do not fail; NaN if all fail
-    smallest_share: float  #: the same
-    largest_share: float  #: the same
+    #: Median ratio of the distance to the recorded one, over robots that do not fail; NaN if all fail.
+    median_share: float
+    smallest_share: float  #: minimum of this ratio
+    largest_share: float  #: maximum of this ratio
     median_m: float  #: median distance of all robots, where a failure counts as 0
 
 
 class Crawling(NamedTuple):
-    """A measure of how the best robots of all runs of an arm crawl, see `Gait`."""
+    """Distribution of one measure of `Gait` over the best robots of an arm, one from each run."""
 
     arm: str
     measure: str
@@ -97,10 +98,11 @@ class Retest(NamedTuple):
 
 
 def retest_winners(analysis: Analysis, folder: Path, *, every_run: bool = False) -> Retest:
-    """Simulate the best robots within the budget again, unless an earlier call did.
+    """Simulate the best robots again, and return the results.
 
-    Results are saved as `winners/winners.json` in the study's folder, the best robot of an arm as
-    `winners/ARM.json`, and that of a run as `winners/ARM/seed-N.json`.
+    Only robots that were evaluated within the budget count. Robots that an earlier call simulated are
+    not simulated again. Results are saved as `winners/winners.json` in the study's folder,
+    the best robot of an arm as `winners/ARM.json`, and that of a run as `winners/ARM/seed-N.json`.
 
     Args:
         analysis: analysis of the study.
@@ -181,7 +183,7 @@ def _retest_all(
 
 
 def _simulate(robots: Sequence[AnyRobot], changes: dict[str, Any]) -> list[tuple[float, int]]:
-    """Return distance and failure of robots of one arm with other physics."""
+    """Simulate robots of one arm with changed physics. Return the distance and failure of each."""
     gaits = [robot for robot in robots if isinstance(robot, Robot)]
     if gaits and len(gaits) == len(robots):
         end = simulate(*stack(gaits), gaits[0].with_physics(**changes).physics)
@@ -202,7 +204,7 @@ def _file_of(folder: Path, cell: Cell) -> Path:
 
 
 def load_winner(config: StudyConfig, folder: Path, arm: str, run: Run) -> AnyRobot | None:
-    """Return the best robot of a run within the budget, or None if it cannot be made again."""
+    """Return a run's best robot within the budget, or None if it cannot be recreated."""
     cell, best_m = Cell(arm, run.seed), float(run.best_m[-1])
     file = _file_of(folder, cell)
     number = int(run.best_m.argmax())

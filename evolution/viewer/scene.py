@@ -15,7 +15,7 @@ from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Robot
 from caterpillar_env.worlds import EXTENT_X_M, EXTENT_Y_M, World
 
-_MESH_M = 0.005  # distance of the points of uneven ground
+_MESH_M = 0.005  # grid spacing of uneven ground
 _GROUND_M = 4.0  # side length of the ground; no robot crawls 2 m in 30 s
 
 
@@ -27,7 +27,7 @@ class RobotScene:
         self._world = scene.add_frame("/world", show_axes=False)
         self._robot: FrameHandle | None = None
         self._built: tuple[Body, Physics] | None = None
-        self._turn = np.eye(3)  # from the frame of the ground to that of the view, whose z is up
+        self._turn = np.eye(3)  # from the ground's frame to the view's frame, in which z is up
 
     def draw(self, robot: Robot, qpos: Array, temperature_c: Array) -> None:
         """Draw a robot in place of the previous one. The ground moves, so that the robot stays in view.
@@ -121,5 +121,5 @@ class RobotScene:
             self._scene.add_icosphere(name, scale=tuple(size), **common)
         elif shape == mujoco.mjtGeom.mjGEOM_SPHERE:
             self._scene.add_icosphere(name, radius=size[0], **common)
-        else:  # leg: body and foot hide the ends of its capsule
+        else:  # leg: a cylinder, because body and foot hide the ends of the capsule
             self._scene.add_cylinder(name, radius=size[0], height=2 * size[1], **common)

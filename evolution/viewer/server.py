@@ -1,7 +1,7 @@
 """Web server of the viewer on 127.0.0.1. Every browser tab has its own robot.
 
-Pages of other sites cannot use it through the browser: requests must name this machine as their host,
-and come from a page of this server.
+Pages of other sites cannot use the server through the browser: a request must name this machine as its
+host, and come from a page of this server.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Viewer:
     """The web server, used as a context manager. It runs in background threads until it is closed.
 
     Args:
-        robot: the first robot of every tab.
+        robot: robot with which every tab starts.
         port: port of 127.0.0.1; 0 selects a free port. If it is in use, viser takes the next free one.
         timing: sliders of the gait, see `fields_of`.
 
@@ -95,8 +95,9 @@ class Viewer:
 def is_own(headers: Any) -> bool:
     """Return whether a request names this machine as its host, and comes from a page of this server.
 
-    A page of another site can reach a server of this machine in two ways: with its own name as the host,
-    if its name server gives the address of this machine, or with a websocket, whose origin is that page.
+    A page of another site can reach a server on this machine in two ways: by DNS rebinding, where the
+    host name of the site resolves to this machine, or through a websocket, where the Origin header names
+    the site.
 
     Args:
         headers: `websockets.Headers` of the request.

@@ -18,8 +18,8 @@ class Session:
     An unchanged robot reproduces `Robot.simulate` bit for bit.
 
     Raises:
-        CaterpillarError: the gait period is not a multiple of the control interval, or the times
-            match neither the springs nor the mirrored pairs.
+        CaterpillarError: the gait period is not a multiple of the control interval, or the number of
+            times matches neither the springs nor the mirrored pairs.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -91,6 +91,6 @@ class Session:
 
 
 def _power(robot: Robot) -> Array:
-    """Return the power of a robot over one gait period, (steps, springs). The period is checked."""
+    """Check the gait period of a robot. Return the power over one period, (steps, springs)."""
     count_steps(robot.timings.period_s, CONTROL_INTERVAL_S, "the gait period")
     return robot.power()

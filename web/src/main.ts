@@ -262,7 +262,7 @@ function writeFixed(version: string): void {
     }),
   );
   find("evolve-hint").textContent =
-    "Searches for the body and the wave that crawl farthest, with SHADE (a differential evolution, " +
+    "Searches for the body and the wave that crawl farthest, with SHADE (differential evolution, " +
     `${data.search.population} robots per generation) in Web Workers, for ${data.search.budget_s.toLocaleString("en")} ` +
     "simulated seconds. The first robots are drawn uniformly, and every robot is simulated to the end.";
   find("about").textContent =
