@@ -15,7 +15,7 @@ from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Robot, simulate, stack
 from caterpillar_env.validation.check import Check, check_near
 
-STOPS = "softness of the joint stops 2.5 / 10 ms"
+STOPS = "time constant of the joint stops 2.5 / 10 ms"
 
 #: Label, field of `Physics` or of its spring, low value, high value.
 _PARAMETERS: tuple[tuple[str, str, float, float], ...] = (
@@ -24,12 +24,12 @@ _PARAMETERS: tuple[tuple[str, str, float, float], ...] = (
     ("neck damping 1e-4 / 3e-4 N m s/rad", "neck_damping_n_m_s_rad", 1e-4, 3e-4),
     ("neck stiffening 3 / 8", "neck_stiffening", 3.0, 8.0),
     (STOPS, "stop_time_constant_s", 0.0025, 0.01),
-    ("softness of the ground 5 / 20 ms", "contact_time_constant_s", 0.005, 0.02),
+    ("time constant of contacts 5 / 20 ms", "contact_time_constant_s", 0.005, 0.02),
     ("coil shielding 0.5 / 1", "spring.coil_shielding", 0.5, 1.0),
     ("austenite stiffness 25 / 45 N/m", "spring.austenite_stiffness_n_m", 25.0, 45.0),
     ("martensite stiffness 12 / 17 N/m", "spring.martensite_stiffness_n_m", 12.0, 17.0),
     ("martensite rest length 20 / 24 mm", "spring.martensite_rest_length_m", 0.020, 0.024),
-    ("ambient 15 / 35 degC", "spring.ambient_c", 15.0, 35.0),
+    ("air temperature 15 / 35 degC", "spring.ambient_c", 15.0, 35.0),
     ("mismatch: two other seeds", "mismatch_seed", 1001, 1002),
 )
 
@@ -65,7 +65,7 @@ def vary_parameters(robots: Sequence[Robot]) -> dict[str, Array]:
 
 
 def check_stops(robots: Sequence[Robot]) -> list[Check]:
-    """Check that the softness of the joint stops has little effect on the median distance."""
+    """Check that the time constant of the joint stops has little effect on the median distance."""
     bodies, timings = stack(robots)
     physics = robots[0].physics
 

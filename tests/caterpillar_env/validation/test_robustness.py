@@ -25,7 +25,7 @@ def test_each_parameter_is_changed_alone_and_plotted(tmp_path):
     assert (tmp_path / "tornado.png").stat().st_size > 10_000
 
 
-def test_stops_of_half_and_twice_the_softness_may_change_the_distance_by_a_tenth(monkeypatch):
+def test_stops_with_half_and_twice_the_time_constant_may_change_the_distance_by_a_tenth(monkeypatch):
     normal_s = Physics().stop_time_constant_s
     distances_m = {0.5 * normal_s: 0.109, normal_s: 0.1, 2.0 * normal_s: 0.111}
 
