@@ -13,12 +13,12 @@ from caterpillar_env.arrays import Array
 from evolution.study import statistics
 from evolution.study.analysis import Analysis
 from evolution.study.times import arrivals
+from evolution.study.trends import LARGEST_SPEED_UP
 
 _KILO = 1000.0  # the time axes are in 1000 s
 _TIME = "simulated time (1000 s)"
 
 _FEWEST_RUNS = 3  # for a median with quartiles
-_LARGEST_SPEED_UP = 100.0
 
 
 def draw_best(analysis: Analysis) -> Figure:
@@ -145,7 +145,7 @@ def draw_genes(analysis: Analysis) -> Figure | None:
 
 def _bound(ratios: Array) -> Array:
     """Clip ratios to the range of the axis. Undefined ratios stay NaN."""
-    bounded: Array = np.clip(ratios, 1 / _LARGEST_SPEED_UP, _LARGEST_SPEED_UP)
+    bounded: Array = np.clip(ratios, 1 / LARGEST_SPEED_UP, LARGEST_SPEED_UP)
     return bounded
 
 

@@ -13,7 +13,7 @@ from evolution.study.config import StudyConfig
 from evolution.study.statistics import Estimate
 from evolution.study.times import Rows, Runs, Threshold, Times, indices, speed_up_function
 
-_LARGEST = 100.0  #: speed-ups are clipped to the range from 1 / 100 to 100
+LARGEST_SPEED_UP = 100.0  #: speed-ups in trends and figures are clipped to 1 / 100 to 100
 
 
 class Trend(NamedTuple):
@@ -62,12 +62,13 @@ def _fit(
     pairs = [(runs[arm], runs[config.reference_of(arm)]) for arm in arms]
     functions = [speed_up_function(threshold, *pair, budget_s=config.budget_s) for pair in pairs]
     x = np.log2(genes)
+    x -= x.mean()
 
     def per_doubling(*rows: Rows) -> float:
         ratios = [f(rows[2 * i], rows[2 * i + 1]) for i, f in enumerate(functions)]
         if np.isnan(ratios).any():
             return float("nan")
-        y = np.log2(np.clip(ratios, 1 / _LARGEST, _LARGEST))
-        return float(2.0 ** (np.dot(x - x.mean(), y) / np.dot(x - x.mean(), x - x.mean())))
+        y = np.log2(np.clip(ratios, 1 / LARGEST_SPEED_UP, LARGEST_SPEED_UP))
+        return float(2.0 ** (np.dot(x, y) / np.dot(x, x)))
 
     return statistics.bootstrap(per_doubling, *(indices(group) for pair in pairs for group in pair))
