@@ -1,12 +1,12 @@
 """Test policies with new springs, friction and slopes: does feedback help?
 
-    python -m benchmarks.feedback results/rl/winners/ppo*/seed-*.json
-    python -m benchmarks.feedback studies/rl/cells/ppo*/seed-*    # after caterpillar study --preset rl
+    python -m benchmarks.feedback results/rl/winners/{ppo-bandit,ppo}/*.json
+    python -m benchmarks.feedback studies/rl/cells/{ppo-bandit,ppo}/seed-*    # after caterpillar study --preset rl
 
 The best policy of each training run crawls under all combinations of the conditions. The preset `rl`
 trains with a friction of 0.8, or of 0.5 to 1.1, and on flat ground. Distances are those in 30 s. A robot
 that fails counts as 0, as does a training run without a best policy (which has no JSON file). Runs that
-differ only in the seed form a group.
+differ only in the seed form a group. The first group is the reference.
 """
 
 from __future__ import annotations
@@ -64,8 +64,10 @@ def _load(path: Path) -> tuple[TrainConfig, TrainedRobot | None]:
 def compare_policies(paths: Sequence[Path], conditions: Sequence[dict[str, Any]]) -> None:
     """Print distances of the best policies, under nominal and under unseen conditions.
 
-    The last column is the probability that a run of a group crawls farther than a run of the first
-    group. It compares the mean distances of runs over the unseen conditions.
+    Distances are medians over the runs of a group: of the mean over all unseen conditions, of the mean
+    over the conditions in each world, and of the worst condition. A12 is the probability that a run of
+    the group crawls farther than a run of the reference. It compares the means over all unseen
+    conditions.
 
     Raises:
         CaterpillarError: a path has neither a training run nor a robot with a policy.
@@ -78,26 +80,31 @@ def compare_policies(paths: Sequence[Path], conditions: Sequence[dict[str, Any]]
         titles[config.group] = config.title
         groups.setdefault(config.group, []).append(robot)
     rows: list[dict[str, Any]] = []
-    first: Array | None = None
+    reference: Array | None = None
+    worlds = [str(fields.get("world", World.of("flat"))) for fields in conditions]
     for key, robots in groups.items():
         standing = np.zeros(len(conditions)), np.ones(len(conditions), dtype=bool)
         nominal_mm = np.array([0.0 if r is None else crawl(r, [{}])[0][0] for r in robots])
         tested = [standing if r is None else crawl(r, conditions) for r in robots]
         unseen_mm, failed = (np.stack(arrays) for arrays in zip(*tested, strict=True))
         mean_mm = unseen_mm.mean(axis=1)
-        first = mean_mm if first is None and key else first
+        reference = mean_mm if reference is None and key else reference
         rows.append(
             {
                 "policy": titles[key],
                 "runs": len(robots),
-                "nominal, median mm": interval(nominal_mm),
-                "unseen, median of means, mm": interval(mean_mm),
-                "worst condition, median mm": float(np.median(unseen_mm.min(axis=1))),
+                "nominal": interval(nominal_mm),
+                "unseen": interval(mean_mm),
+                **{
+                    world: interval(unseen_mm[:, [w == world for w in worlds]].mean(axis=1))
+                    for world in dict.fromkeys(worlds)
+                },
+                "worst": float(np.median(unseen_mm.min(axis=1))),
                 "failures, %": float(100 * failed.mean()),
-                "A12 against the first": "" if first is None else a12(mean_mm, first)._asdict(),
+                "A12": "" if reference is None else a12(mean_mm, reference)._asdict(),
             }
         )
-    report(f"policies under {len(conditions)} unseen conditions", rows)
+    report(f"policies under {len(conditions)} unseen conditions, distances in mm", rows)
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 import sys
 import time
@@ -74,5 +75,5 @@ def report(name: str, rows: list[dict[str, Any]]) -> None:
 def _cell(value: Any) -> str:
     if isinstance(value, dict):
         middle, low, high = value.values()
-        return f"{middle:.3g} ({low:.3g} to {high:.3g})"
+        return f"{middle:.3g}" + ("" if math.isnan(low) else f" ({low:.3g} to {high:.3g})")
     return f"{value:.4g}" if isinstance(value, float) else str(value)
