@@ -166,6 +166,16 @@ def test_reference_needs_more_generations_for_the_distance_of_the_arm(few_draws)
 THRESHOLD = Threshold(generations=2)
 
 
+def test_arm_with_half_the_generations_has_an_acceleration_of_2(few_draws):
+    config = with_own_thresholds(seeds=[0, 1, 2, 3, 4])
+    table = polars.concat(
+        [runs("ga-uniform", [ramp(0.0, 0.01)] * 5), runs("ga-preprocessed", [ramp(0.01, 0.02)] * 5)]
+    )
+    _, row = analyse(config, Results(table, [])).times[THRESHOLD]
+    assert row.median_generations.value == 1  # 90 mm, the reference's distance after two
+    assert row.acceleration == Estimate(2, 2, 2)
+
+
 def with_own_thresholds(**fields):
     """The study with thresholds from its reference, after two generations."""
     return StudyConfig.from_dict({**CONFIG.to_dict(), "thresholds_m": [], **fields})

@@ -9,17 +9,20 @@ from evolution.study.config import StudyConfig
 from evolution.study.results import Results
 
 
-def course(arm, evaluations):
-    """Return five runs that reach 90 mm after a number of evaluations of 10 s."""
+def course(arm, evaluations, runs=5):
+    """Return runs that reach 90 mm after a number of evaluations of 10 s."""
     rows = {
         "arm": arm, "evaluation": np.arange(40), "generation": np.arange(40) // 4, "failure": "ok",
         "stopped": False, "simulated_s": 10.0, "distance_m": 0.09 * (np.arange(40) >= evaluations - 1),
     }  # fmt: skip
-    return polars.concat(polars.DataFrame(rows).with_columns(seed=seed) for seed in range(5))
+    return polars.concat(polars.DataFrame(rows).with_columns(seed=seed) for seed in range(runs))
 
 
-def compare(evaluations):
-    """Compare robots with 4 and 8 segments; `evaluations` has those of each arm to 90 mm."""
+def compare(evaluations, runs=None):
+    """Compare robots with 4 and 8 segments; `evaluations` has those of each arm to 90 mm.
+
+    `runs` has the number of runs of arms with fewer than five.
+    """
     arms = {
         f"{count}-{prior}": {"prior": prior, "physics": {"num_segments": count}}
         for count in (8, 4)
@@ -32,7 +35,9 @@ def compare(evaluations):
             "references": {"4-body": "4-uniform", "8-body": "8-uniform", "other": "4-uniform"},
         }
     )  # fmt: skip
-    table = polars.concat([course(arm, count) for arm, count in evaluations.items()])
+    table = polars.concat(
+        [course(arm, count, (runs or {}).get(arm, 5)) for arm, count in evaluations.items()]
+    )
     return analyse(config, Results(table, []))
 
 
@@ -46,6 +51,12 @@ def test_speed_ups_of_2_and_4_give_a_power_law(few_draws):
         "prior body, genome shared, timing on-off: the ratio of expected running times changes by a "
         "factor of 2.26 (2.26 to 2.26) when the number of genes doubles (20 to 36 genes)."
     )
+
+
+def test_trend_is_known_while_an_arm_lacks_runs(few_draws):
+    evaluations = {"4-uniform": 20, "4-body": 10, "8-uniform": 40, "8-body": 10}
+    (trend,) = compare(evaluations, {"4-body": 2, "8-uniform": 3}).trends
+    assert trend.per_doubling.value == pytest.approx(2 ** (1 / np.log2(36 / 20)))
 
 
 def test_robot_that_never_arrives_bounds_the_trend(few_draws):
