@@ -1,14 +1,16 @@
 """Configuration of a study: reading, defaults, warnings and errors."""
 
 import json
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from caterpillar_env.errors import CaterpillarError
-from evolution.study.config import Cell, StudyConfig, begin, preset, read_toml
+from evolution.study.config import Cell, StudyConfig, begin, load, preset, read_toml
 
 SMALL = {
     "seeds": [0, 1],
@@ -203,3 +205,24 @@ def test_search_study_compares_with_the_uniform_genetic_algorithm():
     assert (reference.prior, reference.timing, reference.race_share) == ("uniform", "on-off", 1.0)
     assert {arm.config.timing for arm in config.arms.values()} >= {"on-off", "wave"}
     assert len(config.seeds) == 30
+
+
+def test_damaged_settings_are_detected_or_harmless(tmp_path):
+    config = StudyConfig.from_dict(SMALL)
+    begin(config, tmp_path)
+    content, rng = bytearray((tmp_path / "study.json").read_bytes()), np.random.default_rng(0)
+    for place in rng.integers(0, len(content), 300):
+        altered = content.copy()
+        altered[place] ^= 1 << int(rng.integers(0, 7))
+        (tmp_path / "study.json").write_bytes(altered)
+        try:
+            assert load(tmp_path) == config
+        except CaterpillarError as error:
+            message = str(error)
+        else:
+            continue
+        assert "study.json" in message
+    (tmp_path / "study.json").unlink()
+    os.mkfifo(tmp_path / "study.json")
+    with pytest.raises(CaterpillarError, match="it is not a regular file"):
+        load(tmp_path)

@@ -1,14 +1,17 @@
 """The best robots of a study, simulated again."""
 
+import json
 import shutil
 import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import polars
 import pytest
 
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes, Robot, simulate, wave_robot
 from caterpillar_env.task import Failure
@@ -21,6 +24,8 @@ from evolution.study.analysis import analyse
 from evolution.study.config import Cell, StudyConfig, begin
 from evolution.study.results import Results, Run, collect
 from evolution.study.winners import CONDITIONS, Comparison, Crawling, Winner, retest_winners
+
+SMALL = tomllib.loads(Path(__file__).with_name("small.toml").read_text("utf-8"))
 
 
 @pytest.mark.parametrize(
@@ -221,3 +226,33 @@ def test_robot_is_restored_from_the_table_of_evaluations(tmp_path, invented):
     retest_winners(analysis, tmp_path)
     assert Robot.load(tmp_path / "winners" / "ga-uniform.json").to_dict() == expected.to_dict()
     assert not (tmp_path / "cells").exists()
+
+
+# Damaged files
+
+
+@pytest.fixture
+def analysis():
+    """The part of an analysis that these functions need first, for a study without runs."""
+    config = StudyConfig.from_dict(SMALL)
+    return SimpleNamespace(config=config, runs={})
+
+
+END = {"distance_m": 0.1, "failure": "ok"}
+ROW = {"arm": "a", "seed": 0, "recorded_m": 0.1, "references": {"0.25 ms": END}}
+DAMAGED = [
+    ROW | {"recorded_m": "far"}, ROW | {"references": {"0.25 ms": 3}}, ROW | {"gait": {}},
+    ROW | {"references": {"0.25 ms": END | {"distance_m": "far"}}},
+]  # fmt: skip
+TEXTS = [
+    "{", "{}", "[1]", "3", "null", '"x"', '{"a": 1, "a": 2}', "[" * 50_000, "[{}]",
+    *(json.dumps([row]) for row in DAMAGED),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", TEXTS, ids=range(len(TEXTS)))
+def test_damaged_winners_are_refused(tmp_path, analysis, text):
+    (tmp_path / "winners").mkdir()
+    (tmp_path / "winners" / "winners.json").write_text(text)
+    with pytest.raises(CaterpillarError, match=r"winners\.json.* (remove|not JSON)"):
+        retest_winners(analysis, tmp_path)

@@ -1,6 +1,5 @@
-"""A study of small robots: running, stopping, resuming and reporting."""
+"""A study of small robots: running, stopping and resuming."""
 
-import json
 import shutil
 import subprocess
 import sys
@@ -21,19 +20,9 @@ from evolution.run.database import is_in_use
 from evolution.run.history import History
 from evolution.run.journal import Journal, read_simulated_s
 from evolution.run.loop import resume
-from evolution.study import winners
 from evolution.study.cells import Processes, RayTasks, run_study
 from evolution.study.config import Cell, StudyConfig, begin, load
-from evolution.study.results import (
-    DATA,
-    DIGEST,
-    Run,
-    collect,
-    read_all,
-    read_kept,
-    read_run,
-    read_runs,
-)
+from evolution.study.results import DATA, collect, read_kept, read_run
 
 TOML = Path(__file__).with_name("small.toml").read_text("utf-8")
 SMALL = tomllib.loads(TOML)
@@ -44,21 +33,12 @@ def changed(**fields):
 
 
 @pytest.fixture(scope="module")
-def finished(studied):
-    """A finished study."""
-    return studied(TOML)
-
-
-@pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory):
     """A finished study with a single seed, and its folder."""
     config, folder = StudyConfig.from_dict(changed(seeds=[0])), tmp_path_factory.mktemp("uninterrupted")
     begin(config, folder)
     assert run_study(config, folder, Processes(2)) == []
     return config, folder
-
-
-# Running
 
 
 def test_a_finished_study_is_never_run_again(finished):
@@ -164,35 +144,6 @@ def test_progress_counts_every_run_up_to_its_budget(tmp_path):
     assert reports[-1] == (3, 1.0)
 
 
-def test_runs_with_other_settings_are_rejected(finished, tmp_path):
-    shutil.copytree(finished, tmp_path / "copy")
-    arms = {"ga-uniform": SMALL["arms"]["ga-uniform"]}
-    fewer = StudyConfig.from_dict(changed(arms=arms))
-    begin(fewer, tmp_path / "copy")
-    other = StudyConfig.from_dict(changed(arms={**arms, "cma-es": {"optimizer": "random"}}))
-    begin(other, tmp_path / "copy")
-    with pytest.raises(CaterpillarError, match=r"cma-es/seed-0 was run with other settings"):
-        collect(other, tmp_path / "copy")
-
-
-def test_table_keeps_runs_whose_folders_were_deleted(finished, tmp_path):
-    shutil.copytree(finished, tmp_path / "copy")
-    config = load(finished)
-    for cell in config.cells()[1:]:
-        shutil.rmtree(cell.folder(tmp_path / "copy"))
-    results = collect(config, tmp_path / "copy")
-    assert not results.missing
-    key = ["arm", "seed", "evaluation"]
-    assert results.table.sort(key).equals(collect(config, finished).table.sort(key))
-
-
-def test_a_study_can_be_read_while_it_runs(finished):
-    config = load(finished)
-    with Journal(config.cells()[0].folder(finished)):
-        assert read_run(config, config.cells()[0], finished).finished
-        assert collect(config, finished).missing == []
-
-
 @pytest.mark.slow
 def test_runs_end_if_their_study_is_killed(tmp_path):
     (tmp_path / "small.toml").write_text(TOML)
@@ -231,151 +182,7 @@ def test_cells_on_ray_give_the_same_bits(uninterrupted, tmp_path):
     assert ours.table.equals(collect(config, finished).table)
 
 
-# Results
-
-
-def test_distances_of_a_run_by_time_and_generation():
-    run = Run(
-        seed=0, spent_s=np.array([10.0, 20.0, 35.0, 50.0]), best_m=np.array([0.0, 0.01, 0.01, 0.03]),
-        failure=np.full(4, "ok"), generation=np.array([0, 0, 1, 1]), generations=2, budget_s=60.0,
-    )  # fmt: skip
-    assert [run.time_to(distance_m) for distance_m in (0.01, 0.02, 0.04)] == [20.0, 50.0, np.inf]
-    assert [run.generations_to(distance_m) for distance_m in (0.01, 0.02, 0.04)] == [1, 2, np.inf]
-    assert [run.best_after(count) for count in (1, 2)] == [0.01, 0.03]
-    assert np.isnan(run.best_after(3))
-    assert [run.best_at(time_s) for time_s in (9.0, 20.0, 60.0)] == [0.0, 0.01, 0.03]
-
-
-def test_evaluations_beyond_the_budget_do_not_count():
-    config = StudyConfig.from_dict(changed(budget_s=30))
-    frame = polars.DataFrame(
-        {
-            "arm": ["cma-es"] * 4,
-            "seed": [0] * 4,
-            "evaluation": [0, 1, 2, 3],
-            "generation": [0, 0, 1, 1],
-            "failure": ["ok", "tipped", "ok", "ok"],
-            "stopped": [False] * 4,
-            "distance_m": [0.01, 0.5, -0.2, 0.9],
-            "simulated_s": [10.0, 4.0, 16.0, 10.0],
-        }
-    )  # fmt: skip
-    (run,) = read_runs(frame, config)["cma-es"]
-    assert run.spent_s.tolist() == [10.0, 14.0, 30.0]
-    assert run.generations == 1  # the second is not complete
-    assert run.best_m.tolist() == [0.01, 0.01, 0.01]
-
-
-def test_robots_that_racing_stopped_reach_no_distance():
-    config = StudyConfig.from_dict(changed(budget_s=100))
-    frame = polars.DataFrame(
-        {
-            "arm": ["cma-es"] * 3,
-            "seed": [0] * 3,
-            "evaluation": [0, 1, 2],
-            "generation": [0, 0, 0],
-            "failure": ["ok"] * 3,
-            "stopped": [True, False, False],
-            "distance_m": [0.5, 0.1, 0.2],
-            "simulated_s": [10.0, 30.0, 30.0],
-        }
-    )
-    (run,) = read_runs(frame, config)["cma-es"]
-    assert run.best_m.tolist() == [0.0, 0.1, 0.2]
-    assert run.spent_s.tolist() == [30.0, 50.0, 70.0]
-
-
-def test_report_is_one_page_with_all_arms(finished):
-    page = (finished / "report.html").read_text()
-    for arm in SMALL["arms"]:
-        assert f"<td>{arm}" in page
-    assert page.count("data:image/png;base64,") == 5
-    assert "http" not in page
-    assert "Some arms have only 2 finished runs" in page
-
-
-@pytest.mark.slow
-def test_report_can_be_made_again_from_the_table_alone(finished, tmp_path, capsys):
-    for name in ("study.json", DATA):
-        (tmp_path / name).write_bytes((finished / name).read_bytes())
-    with Journal(Cell("cma-es", 0).folder(finished)):  # as if it were still running
-        assert cli.main(["report", str(finished)]) == 0
-    first = capsys.readouterr().out
-    assert cli.main(["report", str(tmp_path)]) == 0
-    assert capsys.readouterr().out == first
-    assert "cma-es" in first
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["study"], "give a TOML file or --preset NAME"),
-        (["study", "a.toml", "--preset", "pilot"], "give a TOML file or --preset NAME"),
-        (["study", "nothing.toml"], "cannot read nothing.toml"),
-        (["study", "broken.toml"], "broken.toml is not TOML"),
-        (["report", "nowhere"], "neither a run (journal.sqlite) nor a study (study.json)"),
-        (["report", "begun"], "no run of begun is finished yet"),
-    ],
-    ids=str,
-)
-def test_errors_for_wrong_input_are_one_line(tmp_path, monkeypatch, capsys, arguments, message):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "broken.toml").write_text("seeds = [")
-    begin(StudyConfig.from_dict(SMALL), tmp_path / "begun")
-    assert cli.main(arguments) in (1, 2)
-    err = capsys.readouterr().err
-    assert message in err
-    assert err.count("\n") == 1
-
-
-def test_processes_limit_the_simultaneous_runs(tmp_path, monkeypatch):
-    counts = []
-
-    def stop(config, folder, workers, on_progress):
-        counts.append(workers.count)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("evolution.cli.study.run_study", stop)
-    for flags in (["--processes", "3"], []):
-        arguments = ["study", str(Path(__file__).with_name("small.toml")), "--out", str(tmp_path)]
-        assert cli.main([*arguments, *flags]) == 130
-    assert counts == [3, machine.cores()]
-
-
-def test_study_with_a_failed_run_exits_with_status_1(finished, tmp_path, monkeypatch, capsys):
-    shutil.copytree(finished, tmp_path / "study")
-    failed = [(Cell("cma-es", 1), "no space")]
-    monkeypatch.setattr("evolution.cli.study.run_study", lambda *_: failed)
-    arguments = ["study", str(Path(__file__).with_name("small.toml")), "--out", str(tmp_path / "study")]
-    assert cli.main(arguments) == 1
-    assert "cma-es seed 1 failed: no space" in capsys.readouterr().err
-
-
-def test_best_robots_are_simulated_again_only_once(finished, capsys):
-    rows = json.loads((finished / "winners" / "winners.json").read_text())
-    assert {row["arm"] for row in rows} == set(SMALL["arms"])
-    for row in rows:
-        arm = row["arm"]
-        assert row["recorded_m"] > 0
-        assert (finished / "winners" / f"{arm}.json").exists()
-        assert (
-            cli.main(["replay", str(finished / "winners" / f"{arm}.json"), "--no-video", "--json"]) == 0
-        )
-        assert json.loads(capsys.readouterr().out.partition("{")[2].join(["{", ""]))["identical"]
-    before = (finished / "winners" / "winners.json").stat().st_mtime_ns
-    assert cli.main(["report", str(finished)]) == 0
-    assert (finished / "winners" / "winners.json").stat().st_mtime_ns == before
-
-
-@pytest.mark.slow
-def test_report_compares_all_winners_on_request(finished, tmp_path, monkeypatch, capsys):
-    shutil.copytree(finished, tmp_path / "study")
-    monkeypatch.setattr(winners, "CONDITIONS", {"5 ms": {"timestep_s": 0.005}})
-    assert cli.main(["report", str(tmp_path / "study"), "--all-winners"]) == 0
-    printed = capsys.readouterr().out
-    for arm in SMALL["arms"]:
-        assert f"{arm}, 5 ms: " in printed
-    assert "simulated again</h2>" in (tmp_path / "study" / "report.html").read_text("utf-8")
+# Continuing from the table of evaluations
 
 
 def test_runs_in_the_table_are_not_repeated_without_their_folders(finished, tmp_path):
@@ -413,22 +220,6 @@ def test_unfinished_and_longer_runs_continue_from_the_table_alone(finished, tmp_
     assert results.table.filter(others).equals(whole.filter(others))
 
 
-def test_longer_record_of_a_run_is_used(finished, tmp_path):
-    config, table = load(finished), polars.read_parquet(finished / DATA)
-    begin(config, tmp_path)
-    cell = config.cells()[0]
-    rows = table.filter(arm=cell.arm, seed=cell.seed)
-    arm, folder = config.arms[cell.arm], cell.folder(tmp_path)
-    arm.restore(rows.filter(polars.col("generation") < 2), folder, cell.seed, config.budget_s)
-    assert len(collect(config, tmp_path).missing) == len(config.cells())
-    rows.write_parquet(tmp_path / DATA)  # from another machine, with more generations
-    (tmp_path / DIGEST).unlink()
-    assert cell not in collect(config, tmp_path).missing
-    rows.filter(polars.col("generation") < 1).write_parquet(tmp_path / DATA)  # with fewer generations
-    (tmp_path / DIGEST).unlink()
-    assert read_all(config, tmp_path)[cell]["generation"].max() == 1
-
-
 def test_interrupted_run_continues_in_its_own_journal(finished, tmp_path):
     config = StudyConfig.from_dict(changed(arms={"ga-uniform": {"prior": "uniform"}}, seeds=[0]))
     begin(config, tmp_path)
@@ -459,6 +250,32 @@ def test_run_whose_genomes_have_changed_is_not_continued(finished, tmp_path):
     assert not cell.folder(tmp_path).exists()
 
 
+# The command `study`
+
+
+def test_processes_limit_the_simultaneous_runs(tmp_path, monkeypatch):
+    counts = []
+
+    def stop(config, folder, workers, on_progress):
+        counts.append(workers.count)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("evolution.cli.study.run_study", stop)
+    for flags in (["--processes", "3"], []):
+        arguments = ["study", str(Path(__file__).with_name("small.toml")), "--out", str(tmp_path)]
+        assert cli.main([*arguments, *flags]) == 130
+    assert counts == [3, machine.cores()]
+
+
+def test_study_with_a_failed_run_exits_with_status_1(finished, tmp_path, monkeypatch, capsys):
+    shutil.copytree(finished, tmp_path / "study")
+    failed = [(Cell("cma-es", 1), "no space")]
+    monkeypatch.setattr("evolution.cli.study.run_study", lambda *_: failed)
+    arguments = ["study", str(Path(__file__).with_name("small.toml")), "--out", str(tmp_path / "study")]
+    assert cli.main(arguments) == 1
+    assert "cma-es seed 1 failed: no space" in capsys.readouterr().err
+
+
 def test_stopped_study_leaves_its_evaluations_in_the_table(finished, tmp_path, monkeypatch):
     shutil.copytree(finished, tmp_path / "study")
     (tmp_path / "study" / DATA).unlink()
@@ -471,14 +288,3 @@ def test_stopped_study_leaves_its_evaluations_in_the_table(finished, tmp_path, m
     assert cli.main(arguments) == 130
     before, after = (polars.read_parquet(folder / DATA) for folder in (finished, tmp_path / "study"))
     assert after.equals(before)
-
-
-def test_only_studies_have_winners_to_compare(finished, capsys):
-    run = next((finished / "cells").glob("*/seed-*"))
-    assert cli.main(["report", str(run), "--all-winners"]) == 1
-    assert "--all-winners needs the folder of a study" in " ".join(capsys.readouterr().err.split())
-
-
-def test_landscape_of_a_study_is_refused(finished, capsys):
-    assert cli.main(["report", str(finished), "--landscape", "lag", "offset"]) == 1
-    assert "--landscape needs the folder of a run" in " ".join(capsys.readouterr().err.split())

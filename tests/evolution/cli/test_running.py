@@ -1,0 +1,70 @@
+"""The progress of a run, and the files that are written at its end."""
+
+import io
+import re
+import time
+
+import pytest
+from rich.console import Console
+
+from evolution import cli
+from evolution.cli import running
+from evolution.cli.running import Reporter
+from evolution.config import RunConfig
+from evolution.optimizers.ga import GaConfig
+from evolution.run.history import Generation, load
+
+
+def summary(number, evaluations, *, replayed=False, **failures):
+    failed = {"tipped": 0, "veered": 0, **failures}
+    return Generation(number, 0.0123, 0.004, failed, evaluations, 210.0, replayed=replayed)
+
+
+def test_progress_line_excludes_replayed_generations_from_the_time_left():
+    config = RunConfig(generations=4, ga=GaConfig(population=4, hall_of_fame=1))
+    output = io.StringIO()
+    with Reporter(config, Console(file=output, width=200)) as reporter:
+        reporter.generation(summary(0, 4, replayed=True))
+        reporter.progress(0.5)
+        time.sleep(0.2)
+        reporter.generation(summary(1, 7, tipped=1, veered=2))
+    replayed, computed = output.getvalue().splitlines()
+    assert "left" not in replayed
+    assert "best   12.3 mm" in computed
+    assert "failed: 1 tipped, 2 veered" in computed
+    assert re.search(r"50 % done, 0\.\d min left$", computed)
+
+
+@pytest.mark.parametrize("budget_s", [None, 420.0])
+def test_share_done_never_decreases(budget_s):
+    config = RunConfig(generations=3, budget_s=budget_s, ga=GaConfig(population=4, hall_of_fame=1))
+    console = Console(file=io.StringIO(), force_terminal=True, width=120)
+    done = []
+    with Reporter(config, console) as reporter:
+        for number, evaluations in enumerate((4, 7, 10)):
+            for share in (0.1, 0.5, 1.0):
+                reporter.progress(share)
+                done.append(reporter.share_done)
+            reporter.generation(summary(number, evaluations)._replace(simulated_s=140.0 * (number + 1)))
+            done.append(reporter.share_done)
+    assert done == sorted(done)
+    assert done[-1] == pytest.approx(1.0)
+
+
+def test_video_is_written_unless_it_already_shows_the_best_robot(run, monkeypatch):
+    history, made = load(run[0]), []
+    path, console = history.folder / "best.mp4", Console(file=io.StringIO())
+    monkeypatch.setattr(cli, "film", lambda *arguments: made.append(arguments))
+    monkeypatch.setattr("evolution.report.run_page.write", lambda history, _: path)
+    monkeypatch.setattr(
+        "caterpillar_env.drawing.video.is_video_of", lambda path, robot: path.read_bytes() == b"it"
+    )
+    running.write_results(history, console, video=True)
+    path.write_bytes(b"another robot")
+    running.write_results(history, console, video=False)
+    running.write_results(history, console, video=True)
+    path.write_bytes(b"it")
+    running.write_results(history, console, video=True)
+    path.unlink()
+    filmed = [(recording.robot.digest, where) for recording, where, _ in made]
+    assert filmed == [(history.best_robot.digest, path)] * 2
