@@ -8,7 +8,7 @@ from caterpillar_env import Morphology, Physics
 from caterpillar_env.ground import LOADS, clearances_m, condim, half_axes_m, touching_geoms
 from caterpillar_env.model import build_model
 from caterpillar_env.simulation import Simulation
-from caterpillar_env.worlds import Flat
+from caterpillar_env.worlds import Flat, Rough
 
 WEIGHT_N = 4 * 0.008 * 9.81
 
@@ -26,6 +26,17 @@ def turned(angle_rad):
 def test_lowest_point_of_a_tilted_ellipsoid(angle_rad, reach_m):
     low = clearances_m(Flat(), np.array([0.0, 0.0, 5.0]), turned(angle_rad), np.array([1.0, 2.0, 3.0]))
     assert low == pytest.approx(5.0 - reach_m)
+
+
+def test_sphere_lowered_by_its_clearance_touches_the_tangent_plane_of_rough_ground():
+    world, radius_m = Rough(amplitude_m=0.01, wavelength_m=0.1), 0.01
+    x = np.linspace(0.0, 0.5, 100)
+    centres = np.stack([x, 0.3 * x, np.full(100, 0.05)], axis=-1)
+    clearance_m = clearances_m(world, centres, turned(0.0), np.full(3, radius_m))
+    heights, normals = world.surface(x, 0.3 * x)
+    assert normals[:, 2].min() < 0.99
+    touching = centres[:, 2] - clearance_m - heights  # height of the centre above the plane
+    assert touching * normals[:, 2] == pytest.approx(radius_m)
 
 
 def test_only_feet_and_shells_touch_the_ground():

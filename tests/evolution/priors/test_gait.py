@@ -9,13 +9,15 @@ from scipy.stats import spearmanr
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GaitTimings
 from caterpillar_env.morphology import Morphology
-from caterpillar_env.physics import Physics
+from caterpillar_env.physics import SMA_STEP_S, Physics
 from caterpillar_env.robot import simulate
+from caterpillar_env.sma import settle
 from evolution.config import RunConfig
 from evolution.genome import Encoding
 from evolution.priors import make_priors, searches
 from evolution.priors.distributions import ClippedGaussian, Uniform, WrappedGaussian
-from evolution.priors.gait import advance, gait_parameters
+from evolution.priors.gait import INSTANTS, advance, gait_parameters
+from evolution.priors.statics import PlanarChain
 
 WAVE, PHASE = Encoding(timing="wave"), Encoding(timing="phase")
 PHYSICS = Physics()
@@ -71,6 +73,19 @@ def test_advance_ranks_gaits_as_the_simulator_does():
     timings = GaitTimings.from_phases(delay, duties, 5.0)
     crawled = simulate([Morphology()] * 30, timings, Physics(), duration_s=10.0)
     assert spearmanr(ADVANCE.formula(lag, offset, duty), crawled.distance_m)[0] > 0.6
+
+
+def test_advance_follows_the_springs_of_a_gait_with_different_duties():
+    timings = GaitTimings(
+        5.0, np.array([[0, 2.5, 1, 3.5, 2, 4.5]]), np.array([[1.0, 0.0, 2.2, 4.2, 4.0, 0.4]])
+    )
+    power = np.moveaxis(timings.power(SMA_STEP_S), 0, -1)  # (steps, pairs, robots)
+    fraction = settle(PHYSICS.spring, power, SMA_STEP_S).path.fraction
+    steps = np.arange(INSTANTS + 1) * len(fraction) // INSTANTS % len(fraction)
+    head_m = PlanarChain([Morphology()], PHYSICS).crawl(fraction[steps], 5.0 / INSTANTS)
+    found_m = advance([Morphology()], timings, PHYSICS)
+    assert abs(found_m[0]) > 0.004
+    assert found_m == pytest.approx(head_m[-1] - head_m[0], rel=0.02)
 
 
 def test_advance_is_equal_for_pairs_and_springs_alone_and_in_batches():
