@@ -1,7 +1,7 @@
 """Test policies with new springs, friction and slopes: does feedback help?
 
     python -m benchmarks.feedback results/rl/winners/{ppo-bandit,ppo}/*.json
-    python -m benchmarks.feedback studies/rl/cells/{ppo-bandit,ppo}/seed-*    # after caterpillar study --preset rl
+    python -m benchmarks.feedback studies/rl/cells/{ppo-bandit,ppo}/seed-*    # after the study `rl`
 
 The best policy of each training run crawls under all combinations of the conditions. The preset `rl`
 trains with a friction of 0.8, or of 0.5 to 1.1, and on flat ground. Distances are those in 30 s. A robot

@@ -262,7 +262,7 @@ def trim_tendons(model: mujoco.MjModel) -> None:
 
 
 def _neck_offset(ahead: Morphology, behind: Morphology) -> list[float]:
-    """Return the offset from the rear element of a segment to the front element of the next, m."""
+    """Return the offset from the plain element of a segment to the legged element of the next, m."""
     length = (ahead.segment_length_m + behind.segment_length_m) / 4
     return [-length, 0.0, 2 * behind.segment_radius_m - 2 * ahead.segment_radius_m]
 

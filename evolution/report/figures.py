@@ -60,9 +60,10 @@ def convergence(generations: Sequence[Generation], title: str) -> Figure:
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     numbers = [g.number for g in generations]
     upper.plot(numbers, [1000 * g.best_m for g in generations], marker=".", label="best so far")
-    upper.plot(
-        numbers, [1000 * g.mean_m for g in generations], marker=".", label="mean of the generation"
-    )
+    mean = "mean of the generation"
+    if any(g.stopped for g in generations):
+        mean += ", without stopped robots"
+    upper.plot(numbers, [1000 * g.mean_m for g in generations], marker=".", label=mean)
     upper.set(ylabel="distance in 30 s (mm)", ylim=(0, None))
     upper.set_title(title, loc="left", fontsize="medium", parse_math=False)
     upper.legend(loc="upper left")

@@ -19,7 +19,7 @@ LARGEST_SPEED_UP = 100.0  #: speed-ups in trends and figures are clipped to 1 / 
 class Trend(NamedTuple):
     """Speed-up by a prior for robots with different numbers of genes."""
 
-    name: str  #: prior, genome and timing of the arms
+    name: str  #: optimizer, prior, genome and timing of the arms
     genes: tuple[int, ...]  #: number of genes of each robot, ascending
     speed_ups: tuple[Estimate, ...]  #: ratio of ERTs for each robot, reference to arm
     #: Factor by which the speed-up changes if the number of genes doubles: least squares of the
@@ -45,7 +45,7 @@ def find_trends(config: StudyConfig, runs: Runs, threshold: Threshold, rows: lis
             continue
         run = arm.config
         if replace(run, prior=base.config.prior) == base.config:
-            name = f"prior {run.prior}, genome {run.genome}, timing {run.timing}"
+            name = f"{run.optimizer}, prior {run.prior}, genome {run.genome}, timing {run.timing}"
             found.setdefault(name, []).append((len(run.encoding.genes), row.arm, row.speed_up))
     trends = []
     for name, robots in found.items():

@@ -31,6 +31,12 @@ def folder(tmp_path_factory):
     return path
 
 
+def test_train_reports_a_budget_that_ends_before_the_first_update(tmp_path, capsys):
+    flags = [*SMALL, "--budget-s", "150", "--no-video", "--out", str(tmp_path / "run")]
+    assert cli.main(["rl", "train", *flags]) == 0
+    assert "the policy has not changed: choose a larger --budget-s" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_train_reports_progress_and_writes_a_video(tmp_path, capsys, monkeypatch):
     small = VideoConfig(60.0, 160, 120)

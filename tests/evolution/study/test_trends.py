@@ -48,7 +48,7 @@ def test_speed_ups_of_2_and_4_give_a_power_law(few_draws):
     assert [estimate.value for estimate in trend.speed_ups] == pytest.approx([2.0, 4.0])
     assert trend.per_doubling == pytest.approx([2 ** (1 / np.log2(36 / 20))] * 3)
     assert summarize(found)[-1] == (
-        "prior body, genome shared, timing on-off: the ratio of expected running times changes by a "
+        "ga, prior body, genome shared, timing on-off: the ratio of expected running times changes by a "
         "factor of 2.26 (2.26 to 2.26) when the number of genes doubles (20 to 36 genes)."
     )
 
