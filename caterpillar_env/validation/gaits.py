@@ -55,14 +55,11 @@ def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
     steps = np.diff(com_m[:: round(SMA_STEP_S / physics.timestep_s)], axis=0)  # per thermal step
     distance_m = float(end.distance_m[0])
     folded = steps[:, 0].reshape(periods, -1).sum(axis=0)
-    window = len(folded) // 10
-    circular = np.concatenate([folded, folded[: window - 1]])
-    tenths = np.convolve(circular, np.ones(window), mode="valid")
     weight_n = GRAVITY_M_S2 * float(model.body_mass.sum())
     body_m = length_m(segments_of(robot.morphology, physics.num_segments))
     return Gait(
         distance_m=distance_m,
-        best_tenth=float(tenths.max()) / distance_m,
+        best_tenth=_cover_best_tenth(folded) / distance_m,
         peak_speed_m_s=float(np.linalg.norm(steps, axis=1).max()) / SMA_STEP_S,
         slip=slip_m / distance_m,
         body_load=body_load,
@@ -70,6 +67,13 @@ def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
         cost_of_transport=float(end.energy_j[0]) / (weight_n * distance_m),
         body_lengths_s=distance_m / body_m / (periods * period_s),
     )
+
+
+def _cover_best_tenth(folded: Array) -> float:
+    """Return the largest sum over a tenth of a period, which may cross the end of the period."""
+    window = len(folded) // 10
+    circular = np.concatenate([folded, folded[: window - 1]])
+    return float(np.convolve(circular, np.ones(window), mode="valid").max())
 
 
 def _replay(

@@ -93,6 +93,15 @@ def test_reset_applies_the_body_in_the_options(env):
     assert {m.leg_separation_m for m in env.vector_env.crawl.simulation.bodies} == {0.02}
 
 
+def test_options_hold_for_one_reset(env):
+    first, second = Morphology(), Morphology(leg_separation_m=0.02)
+    env.set_options({"morphology": first})
+    env.reset()
+    env.vector_env.reset(options={"morphology": second})
+    env.reset()
+    assert env.vector_env.crawl.simulation.bodies == [second] * ROWS
+
+
 def test_attributes_are_shared_by_all_rows(env):
     assert env.get_attr("render_mode") == [None] * ROWS
     assert len(env.get_attr("observation_names", indices=[0, 2])) == 2

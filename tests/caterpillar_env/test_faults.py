@@ -35,16 +35,21 @@ def test_weak_springs_fail_in_mid_episode():
     env, healthy = gymnasium.make(SWITCH, faults=faults), gymnasium.make(SWITCH)
     env.reset(seed=1)
     healthy.reset(seed=1)
-    powers = []
+    powers, used_j, usual_j = [], [0.0], [0.0]
     for step in range(8):
         *_, info = env.step(ON)
         *_, usual = healthy.step(ON)
         powers.append(info["spring_power"])
+        used_j.append(info["energy_j"])
+        usual_j.append(usual["energy_j"])
         if step < 5:
             assert info["energy_j"] == usual["energy_j"]
             np.testing.assert_array_equal(temperatures(env), temperatures(healthy))
     assert [int((power < 1).sum()) for power in powers] == [0] * 4 + [3] * 4
     assert "spring_power" not in usual
+    # From the start of the sixth step, three of twelve springs get a quarter of the power.
+    ratio = np.diff(used_j[5:7]) / np.diff(usual_j[5:7])
+    assert ratio == pytest.approx((9 + 3 * 0.25) / 12)
     weak = powers[-1] == 0.25
     assert (temperatures(env)[0, weak] < temperatures(healthy)[0, weak] - 1).all()
     np.testing.assert_array_equal(temperatures(env)[0, ~weak], temperatures(healthy)[0, ~weak])

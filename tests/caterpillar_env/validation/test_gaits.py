@@ -3,7 +3,13 @@ import numpy as np
 import pytest
 
 from caterpillar_env.ground import FOOT, SKIN
-from caterpillar_env.validation.gaits import Gait, _replay, check_gaits, measure_gait
+from caterpillar_env.validation.gaits import (
+    Gait,
+    _cover_best_tenth,
+    _replay,
+    check_gaits,
+    measure_gait,
+)
 from caterpillar_env.validation.robots import evolved_robots
 
 
@@ -30,6 +36,13 @@ def test_figures_are_plausible(gait):
     assert gait.slip > 0
 
 
+@pytest.mark.parametrize("start", [0, 7, 38])
+def test_best_tenth_may_cross_the_end_of_the_period(start):
+    steps = np.full(40, 0.1)
+    steps[np.arange(start, start + 4) % 40] = 1.0
+    assert _cover_best_tenth(steps) == pytest.approx(4.0)
+
+
 #: A body on three supports without friction. Motors turn it about the vertical axis and push it. The
 #: centre of mass lies between the front support, which bears 60 % of the weight, and the others.
 SPINNING = """
@@ -37,7 +50,7 @@ SPINNING = """
   <option timestep="0.001"/>
   <worldbody>
     <geom type="plane" size="1 1 1" condim="1" contype="3" conaffinity="0"/>
-    <body pos="0 0 0.01">
+    <body pos="{x_m} 0 0.01">
       <freejoint name="root"/>
       <inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>
       <geom size="0.01" pos="0.02 0 0" condim="1" contype="0" conaffinity="{front}"/>
@@ -58,16 +71,17 @@ SPINNING = """
 """
 
 
-def spin(front, push_n=0.0, hinge_n_m=0.0):
+def spin(front, push_n=0.0, hinge_n_m=0.0, x_m=0.0):
     """Return the turned angle (rad), slip (m), load share of the body, and overrun after 0.5 s."""
-    model = mujoco.MjModel.from_xml_string(SPINNING.format(front=front))
+    model = mujoco.MjModel.from_xml_string(SPINNING.format(front=front, x_m=x_m))
     control = np.tile([1e-4, push_n, hinge_n_m], (500, 1))
     qpos, _, slip_m, body_load, overrun = _replay(model, model.qpos0, control)
     return 2 * np.arctan2(qpos[6], qpos[3]), slip_m, body_load, overrun
 
 
-def test_slip_is_the_sliding_distance_of_the_feet_weighted_by_their_loads():
-    turned, slip_m, body_load, _ = spin(front=FOOT)
+@pytest.mark.parametrize("x_m", [0.0, 0.3])
+def test_slip_is_the_sliding_distance_of_the_feet_weighted_by_their_loads(x_m):
+    turned, slip_m, body_load, _ = spin(front=FOOT, x_m=x_m)
     assert slip_m == pytest.approx(turned * (0.6 * 0.02 + 0.4 * np.hypot(0.03, 0.05)), rel=0.01)
     assert body_load == 0
 

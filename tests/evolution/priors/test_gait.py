@@ -150,6 +150,12 @@ def test_on_and_off_times_peak_at_those_of_the_best_wave():
     assert springs["gap2_dorsal_left_on_s"] == times["gap2_dorsal_on_s"]
 
 
+def test_delay_between_left_and_right_springs_is_uniform():
+    springs = distributions(replace(PHASE, kind="full"))
+    assert springs["gap2_dorsal_left_delay"] == distributions(PHASE)["gap2_dorsal_delay"]
+    assert springs["gap2_dorsal_right_delay"] == Uniform()  # K_5 is planar
+
+
 @pytest.mark.parametrize("encoding", [PHASE, replace(PHASE, kind="full")], ids=["pairs", "springs"])
 def test_prior_of_the_body_leaves_the_gait_uniform(encoding):
     shapes = distributions(encoding, "body")

@@ -53,6 +53,13 @@ def test_median_of_the_survival_curve():
     assert statistics.find_median(np.array([5.0, 5.0, 3.0]), np.array([False, False, True])) == np.inf
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_both_medians_agree_if_runs_are_censored_when_others_arrive(seed):
+    rng = np.random.default_rng(seed)
+    time, reached = rng.integers(1, 4, 9).astype(float), rng.random(9) < 0.6
+    assert statistics.find_median(time, reached) == statistics.kaplan_meier(time, reached).median.value
+
+
 def test_log_rank_of_the_textbook_example():
     time, reached = np.concatenate([TREATED, PLACEBO]), np.concatenate([RELAPSED, ALL])
     treated = np.arange(42) < 21
@@ -89,6 +96,12 @@ def test_random_permutations_agree_with_the_exact_test(monkeypatch):
     exact = statistics.permutation_p(difference, 5, 10)
     monkeypatch.setattr(statistics, "PERMUTATIONS", 250)  # fewer than the 252 assignments
     assert statistics.permutation_p(difference, 5, 10) == pytest.approx(exact, abs=0.04)
+
+
+def test_random_permutations_never_give_a_p_value_of_0(monkeypatch):
+    monkeypatch.setattr(statistics, "PERMUTATIONS", 199)
+    p = statistics.permutation_p(lambda first: float(first[:20].all()), 20, 40)
+    assert p == 1 / 200
 
 
 def test_mann_whitney_is_exact_for_small_groups_with_ties():
