@@ -27,7 +27,7 @@ ENVIRONMENTS: dict[ActionMode, str] = {
     "timing": "CaterpillarSMA-v0", "phase": "CaterpillarSMA-v0", "switch": "CaterpillarSMASwitch-v0",
 }  # fmt: skip
 POPULATION = 8  #: number of bodies that CMA-ES proposes per generation
-ROBOTS_PER_BODY = 2  #: number of robots that crawl in each of these bodies
+ROBOTS_PER_BODY = 2  #: number of robots with each of these bodies
 HYPERPARAMETERS = Path(__file__).with_name("hyperparams")
 # Bounds of overridden values. Other floats are in [0, 1]; other integers are at least 1, or 0 if the
 # default is 0.

@@ -43,8 +43,9 @@ OUT = ROOT / "docs" / "images" / "gallery"
 ARM = "ga-uniform"  # arm of the study whose failed robots are shown
 STILLS = 5  #: pictures of a gait period
 WAVE_START_S = 15.0  # start of the gait period that the figure of the wave shows
-#: The study has no robots that jumped or diverged. Springs that are much stronger make them diverge
-#: with an explicit integrator. If they are also heated in a fraction of a second, robots jump.
+#: The study has no robots that jumped or diverged. With much stronger springs, robots diverge if the
+#: integrator is implicitfast. With the default integrator, they jump if these springs are heated in a
+#: fraction of a second.
 _SPRING = SmaSpring(austenite_stiffness_n_m=1000.0, force_limit_n=20.0)
 UNSTABLE = Physics(spring=_SPRING, integrator="implicitfast", timestep_s=0.01)
 STRONG = Physics(spring=replace(_SPRING, drive_current_a=3.0))

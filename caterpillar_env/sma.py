@@ -75,7 +75,7 @@ class SmaSpring:
     resistivity_ohm_m: float = 0.98e-6  #: resistivity, ohm m; 55 ohm/m at 0.15 mm (Dynalloy F1140 sheet)
     #: heat transfer coefficient, W/(m2 K): free convection (Churchill-Chu) and radiation
     convection_w_m2_k: float = 110.0
-    coil_shielding: float = 0.7  #: convection relative to a straight wire; estimate, 0.3-1
+    coil_shielding: float = 0.7  #: convection relative to a straight wire; estimate; plausible 0.3-1
     austenite_start_c: float = 68.0  #: austenite start temperature As, degC, under load
     austenite_finish_c: float = 78.0  #: austenite finish temperature Af, degC
     martensite_start_c: float = 66.0  #: martensite start temperature Ms, degC; estimate

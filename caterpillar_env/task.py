@@ -67,7 +67,7 @@ class FailureLimits(NamedTuple):
     jumped_clearance_m: float = 0.005  #: JUMPED if the lowest point is higher
     veered_heading_rad: float = np.pi / 4  #: VEERED if the heading error is larger
     veered_lateral_m: float = 0.12  #: VEERED if the lateral displacement is larger (nominal body length)
-    sagged_share: float = 0.05  #: SAGGED if the mean share of the load on the body is higher
+    sagged_share: float = 0.05  #: SAGGED if the elements carry a larger mean share of the load
 
 
 @compiled

@@ -39,7 +39,7 @@ _BOUNDS = {
     "greatest": (0.05, 10.0),
     "seed": (0, 2**63),
 }
-_STEEPEST = 8  # smallest ratio of wavelength to amplitude; the steepest ground is then near 45 degrees
+_STEEPEST = 8  # smallest ratio of wavelength to amplitude; the steepest ground is then about 20 degrees
 _CELLS = 8  # height samples per wavelength
 _LARGEST_CELL_M = 0.01
 _ROUGH, _PATCHES = 0x52, 0x50  # spawn keys of the random streams
@@ -168,8 +168,8 @@ class HeightField(NamedTuple):
 class Rough(World):
     """Smooth random bumps: a cubic B-spline through random heights, half a wavelength apart."""
 
-    amplitude_m: float = 0.003  #: largest height above or depth below z = 0, 0.1 to 10 mm
-    wavelength_m: float = 0.06  #: twice the distance between random heights, 20 mm to 1 m
+    amplitude_m: float = 0.003  #: largest height above z = 0, or depth below it; 0.1 to 10 mm
+    wavelength_m: float = 0.06  #: twice the distance between random heights; 20 mm to 1 m
     seed: int = 0  #: random seed of the heights
     kind: Literal["rough"] = field(default="rough", kw_only=True)
 

@@ -15,7 +15,7 @@ from caterpillar_env.sma import SmaSpring
 _COLD = np.array([0.10, 0.35, 0.95])
 _WARM = np.array([0.98, 0.85, 0.20])
 _HOT = np.array([0.92, 0.10, 0.08])
-_LONGEST = "30.0 s    +000 mm    000 J"  # as wide as the widest readout of most robots
+_LONGEST = "30.0 s    +000 mm    000 J"  # the readouts of most robots are at most this wide
 _INK, _ALARM, _PANEL = (30, 30, 30), (190, 20, 20), (255, 255, 255, 185)
 
 

@@ -205,7 +205,7 @@ def transformation_times_s(spring: SmaSpring) -> tuple[float, float]:
 def check_dynalloy() -> list[Check]:
     """Check heating and cooling times of high-temperature (HT) wire.
 
-    Only the specific heat was fitted to the data sheet, to its heating times.
+    Only the specific heat was fitted, to the heating times of the data sheet.
     """
     checks = [
         check_near(

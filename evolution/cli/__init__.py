@@ -195,7 +195,7 @@ def bar(console: Console) -> Progress:
 
 
 def print_table(table: Table, width: int = 150) -> None:
-    """Print a table on stdout: as wide as the terminal, or with `width` characters in a file or pipe."""
+    """Print a table to stdout: as wide as the terminal, or with `width` characters in a file or pipe."""
     from rich.console import Console
 
     Console(width=None if sys.stdout.isatty() else width, markup=False).print(table)

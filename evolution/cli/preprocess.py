@@ -24,7 +24,8 @@ from evolution.priors.preprocessor import Contradictions, GenePrior, Search
 class PreprocessArgs:
     """Print and plot the distribution of each gene, and print the maximum of each design parameter.
 
-    The defaults reproduce Table I of the paper. `--timing wave --prior body+gait` adds the gait.
+    The defaults reproduce Table I of the paper. `--timing wave --prior body+gait` adds the design
+    parameters of the gait, K_4 and K_5.
     """
 
     json: bool = False

@@ -67,7 +67,7 @@ def read_kept(folder: Path) -> dict[Cell, polars.DataFrame]:
             raise CaterpillarError(f"{file} is damaged: it does not match {DIGEST}; {_KEEP}")
         table = polars.read_parquet(io.BytesIO(content))
         if missing := {"arm", "seed", *_OUTCOME} - set(table.columns):
-            raise CaterpillarError(f"{file} has no columns {', '.join(sorted(missing))}; {_KEEP}")
+            raise CaterpillarError(f"{file} lacks these columns: {', '.join(sorted(missing))}; {_KEEP}")
         return dict(_split(table))
     except (OSError, polars.exceptions.PolarsError, polars.exceptions.PanicException) as error:
         raise CaterpillarError(f"cannot read {file}: {error}; {_KEEP}") from None

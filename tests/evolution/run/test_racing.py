@@ -82,7 +82,7 @@ def test_simulation_continues_bit_for_bit_from_a_state_in_mid_episode(complete):
 
 
 class WithFailures(LocalEvaluator):
-    """Marks the first four robots as failed after two periods, far ahead of the others."""
+    """Marks the first four robots as failed after two periods, and sets their distances to 1 m."""
 
     def map(self, encoding, jobs, on_progress=None):
         for job, result in zip(jobs, super().map(encoding, jobs, on_progress), strict=True):

@@ -89,7 +89,7 @@ def test_an_unreadable_or_incomplete_table_is_refused(tmp_path):
     with pytest.raises(CaterpillarError, match=r"cannot read .*restore a copy"):
         read_kept(tmp_path)
     polars.DataFrame({"arm": ["a"], "seed": [0]}).write_parquet(tmp_path / DATA)
-    with pytest.raises(CaterpillarError, match="has no columns distance_m, energy_j"):
+    with pytest.raises(CaterpillarError, match="lacks these columns: distance_m, energy_j"):
         read_kept(tmp_path)
 
 
