@@ -203,7 +203,7 @@ class TrainedRobot:
     config: TrainConfig  #: configuration of the training run
     morphology: Morphology
     physics: Physics
-    fitness_m: float | None = None  #: recorded distance, m
+    fitness_m: float | None = None  #: recorded distance, m; 0 for a robot that failed
 
     @classmethod
     def load(cls, path: Path, which: Which = "best") -> TrainedRobot:
@@ -237,7 +237,7 @@ class TrainedRobot:
         config = training.config
         _check_settings(str(folder), history.configuration, config)
         policy = Policy.load(folder / f"{which}.npz", config)
-        return cls(policy, config, training.body(evaluation), config.physics, evaluation.distance_m)
+        return cls(policy, config, training.body(evaluation), config.physics, evaluation.fitness_m)
 
     @classmethod
     def _from_dict(cls, data: Any, weights: Path) -> TrainedRobot:

@@ -24,10 +24,11 @@ from caterpillar_env.files import make_folder
 from caterpillar_env.task import EPISODE_S
 from evolution.run.history import History
 from evolution.run.journal import Journal
+from evolution.run.loop import warn_of_versions
 
 _PACKAGES = ("stable-baselines3", "torch", "gymnasium")
 OnEvaluation = Callable[[History], None]
-OnProgress = Callable[[float], None]
+OnSpent = Callable[[float], None]
 
 
 class _BudgetSpent(Exception):  # noqa: N818  it signals a normal end
@@ -39,7 +40,7 @@ def train(
     folder: Path,
     *,
     on_evaluation: OnEvaluation | None = None,
-    on_progress: OnProgress | None = None,
+    on_progress: OnSpent | None = None,
     threads: int = 0,
 ) -> Training:
     """Train a policy and record the training run in a new folder.
@@ -60,7 +61,7 @@ def train(
         CaterpillarError: the folder is not empty or cannot be written, or the budget is too small.
     """
     robots = make_training_env(config, threads)
-    _check_budget(config, robots)
+    _find_reserve(config, robots)  # if this fails, no folder is made
     with _one_thread():
         model = make_model(config, robots)
         make_folder(folder, "; to continue a training run, use `caterpillar rl resume`")
@@ -74,7 +75,8 @@ def resume(
     folder: Path,
     *,
     on_evaluation: OnEvaluation | None = None,
-    on_progress: OnProgress | None = None,
+    on_progress: OnSpent | None = None,
+    on_warning: Callable[[str], None] | None = None,
     threads: int = 0,
 ) -> Training:
     """Continue a training run from its last evaluation, as if it had not been stopped.
@@ -83,6 +85,7 @@ def resume(
         folder: folder of the training run. A finished one is returned as it is.
         on_evaluation: see `train`.
         on_progress: see `train`.
+        on_warning: called with warnings about changed versions, which may alter the result.
         threads: see `train`.
 
     Raises:
@@ -98,10 +101,12 @@ def resume(
             f"{folder} was trained with other hyperparameters than those in baselines/hyperparams; use "
             "the version of this package that began it, or train again in another folder"
         )
+    if on_warning is not None:
+        warn_of_versions(known, on_warning, _PACKAGES)
     with _one_thread(), Journal(folder) as journal:
         history = History(journal)
         for _ in known.generations:
-            history.complete(replayed=True)
+            history.complete()
         robots = make_training_env(config, threads)
         recorder = _Recorder(config, robots, history, on_evaluation, on_progress)
         _run(recorder, make_model(config, robots))
@@ -143,7 +148,7 @@ def _run(recorder: _Recorder, model: BaseAlgorithm) -> None:
         robots.close()
 
 
-def _check_budget(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
+def _find_reserve(config: TrainConfig, robots: CaterpillarVecEnv) -> float:
     """Return the maximum simulated seconds of one step of all robots and two evaluations.
 
     Raises:
@@ -176,12 +181,12 @@ class _Recorder(BaseCallback):
         robots: CaterpillarVecEnv,
         history: History,
         on_evaluation: OnEvaluation | None,
-        on_progress: OnProgress | None,
+        on_progress: OnSpent | None,
     ) -> None:
         super().__init__()
         self.config, self.robots, self.history = config, robots, history
         self._on_evaluation, self._on_progress = on_evaluation, on_progress
-        self._reserve_s = _check_budget(config, robots)
+        self._reserve_s = _find_reserve(config, robots)
         self._env = make_env(config)
         self._counted_s = 0.0  # simulated in this session until the last evaluation
         self._restored = False
@@ -245,7 +250,7 @@ class _Recorder(BaseCallback):
         self._counted_s += since_s
         more = {} if self.designs is None else self.designs.state()
         checkpoint.save(history.folder, number, self.model, more | {"last": last})
-        if not history.replay(genome[None]):  # already recorded if a session was killed below
+        if not history.count_recorded(genome[None]):  # already recorded if a session was killed below
             history.append(genome[None], outcome._replace(simulated_s=np.array([since_s])))
         history.complete()
         self._save(policy)

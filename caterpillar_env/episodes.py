@@ -36,6 +36,7 @@ Step = tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], d
 _NONE, _DIVERGED = int(Failure.NONE), int(Failure.DIVERGED)  # NumPy compares enum members slowly
 #: Bound of every entry of an observation. Entries of healthy robots have a magnitude of about one.
 OBSERVATION_LIMIT = 1000.0
+_REWARDS = ("reward_forward", "reward_ctrl", "reward_failure")  # parts of the reward
 #: Maximum displacement of axial joints for a `reset_noise_scale` of 1, m. For hinges, it is 1 rad.
 _AXIAL_NOISE_M = 0.01
 
@@ -144,8 +145,8 @@ class Episodes:
         self._scale_bodies(rows)
         self._intervals[rows] = 0
         state, start = self.crawl.simulation.state(rows), self.crawl.progress(rows)
-        zeros = np.zeros(len(rows))
-        info = self._info(rows, state, start, start, zeros, zeros, zeros)
+        rewards = {name: np.zeros(len(rows)) for name in _REWARDS}
+        info = self._info(rows, state, start, start, rewards)
         return self._observe(rows, state, start), info
 
     def get_state(self, rows: Rows, generators: Sequence[np.random.Generator | None]) -> EpisodeState:
@@ -217,7 +218,8 @@ class Episodes:
         terminated = failed if config.terminate_on_failure else diverged
         state = self.crawl.simulation.state(rows)
         truncated = ~terminated & (self._intervals[rows] >= self._limit)
-        info = self._info(rows, state, before, after, forward, ctrl, failure)
+        rewards = dict(zip(_REWARDS, (forward, ctrl, failure), strict=True))
+        info = self._info(rows, state, before, after, rewards)
         return self._observe(rows, state, after), forward + ctrl + failure, terminated, truncated, info
 
     def _info(
@@ -226,9 +228,7 @@ class Episodes:
         state: BodyState,
         before: Progress,
         now: Progress,
-        forward: Array,
-        ctrl: Array,
-        failure: Array,
+        rewards: dict[str, Array],
     ) -> dict[str, NDArray[Any]]:
         """Return the info of robots that moved from `before` to `now` with these rewards."""
         elapsed_s = np.maximum(now.time_s - before.time_s, CONTROL_INTERVAL_S)
@@ -242,17 +242,15 @@ class Episodes:
             "distance_from_origin": np.hypot(now.distance_m, now.lateral_m),
             "x_velocity": cos * along_m_s - sin * across_m_s,
             "y_velocity": sin * along_m_s + cos * across_m_s,
-            "reward_forward": forward,
-            "reward_ctrl": ctrl,
-            "reward_failure": failure,
+            **rewards,
             "energy_j": now.energy_j,
             "body_load": now.body_load,
             "time_s": now.time_s,
             "failure": now.failure,
         }
         if self.config.faults is not None:
-            failed = self._intervals[rows] * STEPS_PER_INTERVAL >= self._fault_step[rows]
-            info["spring_power"] = np.where(failed[:, None], self._kept[rows], 1.0)
+            broken = self._intervals[rows] * STEPS_PER_INTERVAL >= self._fault_step[rows]
+            info["spring_power"] = np.where(broken[:, None], self._kept[rows], 1.0)
         return info
 
     def check_actions(self, actions: Any, count: int) -> Array:

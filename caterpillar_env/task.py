@@ -144,7 +144,8 @@ class CrawlState(NamedTuple):
     failure: NDArray[np.int8]  #: (R,)
     start_m: Array  #: horizontal position at reset, (R, 2)
     direction: Array  #: cosine and sine of the goal heading, (R, 2)
-    measured: Array  #: the first six fields of `Progress`, (R, 6)
+    #: the first six fields of `Progress`, (R, 6); stored, because `Pose` lags one physics step behind
+    measured: Array
     borne_s: Array  #: integral of the body's share of the load over time, (R,)
 
     def rows(self, index: Rows) -> CrawlState:
@@ -313,9 +314,7 @@ class Crawl:
     def progress(self, rows: Rows | None = None) -> Progress:
         """Return the progress of the robots since reset, as measured after their last interval."""
         index = self.simulation.rows(rows)
-        time_s, distance_m, lateral_m, heading_rad, energy_j, body_load = self._measured[index].T
-        failure = self.failure[index]
-        return Progress(time_s, distance_m, lateral_m, heading_rad, energy_j, body_load, failure)
+        return Progress._make((*self._measured[index].T, self.failure[index]))
 
     def _measure(self, index: Rows, pose: Pose) -> Array:
         """Return the first six fields of `Progress`, (R, 6)."""

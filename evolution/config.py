@@ -155,11 +155,11 @@ class RunConfig:
         default = 4 + int(3 * np.log(len(self.encoding.genes)))
         return (self.cma.cma_population or default) * self.generations
 
-    def stop_reason(self, generations: int, simulated_s: float, farthest_m: float) -> str | None:
+    def stop_reason(self, completed: int, simulated_s: float, farthest_m: float) -> str | None:
         """Return why the run is over, or None if another generation follows.
 
         Args:
-            generations: number of completed generations.
+            completed: number of completed generations.
             simulated_s: simulated time of all evaluations, s.
             farthest_m: largest distance of a robot that did not fail, m.
         """
@@ -168,16 +168,16 @@ class RunConfig:
             target = f"the target of {1000 * self.target_m:g} mm"
             if farthest_m >= self.target_m:
                 crawled = f"a robot crawled {1000 * farthest_m:.1f} mm"
-                return f"{target} was reached in generation {generations - 1}, where {crawled}"
+                return f"{target} was reached in generation {completed - 1}, where {crawled}"
             missed = f"; {target} was not reached"
         if self.budget_s is not None and simulated_s >= self.budget_s:
             return f"the budget of {self.budget_s:,.0f} simulated seconds is spent{missed}"
-        if generations >= self.generations:
-            return f"all {generations} generations are complete{missed}"
+        if completed >= self.generations:
+            return f"all {completed} generations are complete{missed}"
         return None
 
-    def share_done(self, generations: int, simulated_s: float) -> float:
+    def share_done(self, completed: int, simulated_s: float) -> float:
         """Return the completed share of the budget, or of the generations if none is set, in [0, 1]."""
         if self.budget_s is not None:
             return min(simulated_s / self.budget_s, 1.0)
-        return generations / self.generations
+        return completed / self.generations

@@ -16,7 +16,6 @@ from rich.table import Table
 from baselines.config import Training
 from caterpillar_env.errors import CaterpillarError
 from evolution import cli
-from evolution.run.history import to_outcomes
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ def summarize(trainings: Sequence[Training]) -> list[dict[str, Any]]:
         title = members[0].config.title
         titles[title] += 1
         histories = [training.history for training in members]
-        untrained_m = [to_outcomes(history.evaluations[:1]).fitness()[0] for history in histories]
+        untrained_m = [history.evaluations[0].fitness_m for history in histories]
         best_m = [history.best.distance_m if history.best else 0.0 for history in histories]
         rows.append(
             {

@@ -29,4 +29,9 @@ def resume_command(argv: Sequence[str]) -> int:
     """Continue a training run from its last evaluation."""
     args = cli.parse(ResumeArgs, argv, "rl resume")
     config = Training.read(args.folder).config
-    return follow(partial(resume, args.folder, threads=args.threads), config, args.video)
+    console = cli.console()
+    run = partial(
+        resume, args.folder, threads=args.threads,
+        on_warning=lambda text: console.print(f"warning: {text}"),
+    )  # fmt: skip
+    return follow(run, config, args.video)

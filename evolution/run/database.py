@@ -43,15 +43,16 @@ def is_in_use(folder: Path) -> bool:
 
 def lock(folder: Path) -> IO[bytes]:
     """Lock a folder until the file is closed or the process ends."""
-    with explain_errors(folder / ".lock"):
-        file = _open_lock(folder, os.O_RDWR | os.O_CREAT)
-    for _ in range(_LOCK_ATTEMPTS):  # retry, because `is_in_use` may hold the lock briefly
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return file
-        except OSError:
-            time.sleep(_LOCK_WAIT_S)
-    file.close()
+    with explain_errors(folder / ".lock"), ExitStack() as stack:
+        file = stack.enter_context(_open_lock(folder, os.O_RDWR | os.O_CREAT))
+        for _ in range(_LOCK_ATTEMPTS):  # retry, because `is_in_use` may hold the lock briefly
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                time.sleep(_LOCK_WAIT_S)
+            else:
+                stack.pop_all()  # keep the file open
+                return file
     raise JournalError(f"another process is working on {folder}; wait until it ends, or stop it")
 
 
@@ -102,8 +103,8 @@ def connect_to_read(path: Path, stack: ExitStack) -> sqlite3.Connection:
 def damaged(path: Path, why: str) -> JournalError:
     """Return an error that reports damage."""
     return JournalError(
-        f"{path} is damaged: {why}. Restore a copy of it, or repeat the run: the configuration in "
-        "report.html gives the same result"
+        f"{path} is damaged: {why}. Restore a copy of it, or repeat the run with the same configuration "
+        "(for an evolutionary run, report.html contains it)"
     )
 
 
@@ -128,9 +129,10 @@ def explain_errors(path: Path, *, reading: bool = False, advice: str = "") -> It
             raise damaged(path, str(error)) from None
         if reading:
             raise JournalError(f"cannot read {path}: {error}; make sure that you may read it") from None
+        folder = shlex.quote(str(path.parent))
         advice = advice or (
             "Recorded evaluations are safe; make sure that the folder can be written, and run "
-            f"`caterpillar resume {shlex.quote(str(path.parent))}`"
+            f"`caterpillar resume {folder}` (or `caterpillar rl resume {folder}` for a training run)"
         )
         raise JournalError(f"cannot write {path}: {error} (is the disk full?). {advice}") from None
 

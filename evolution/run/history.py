@@ -43,8 +43,9 @@ class Generation(NamedTuple):
 class History:
     """The evaluations, generations and best robot of a run.
 
-    Read a run with `History.read(folder)`. To record a run, repeat for each generation: `replay` its
-    known evaluations, `append` the others, then `complete` it.
+    Read a run with `History.read(folder)`. To record a run, repeat for each generation: find out with
+    `count_recorded` how many evaluations the journal has already, `append` the others, then `complete`
+    the generation.
 
     Args:
         journal: open journal of the run.
@@ -65,6 +66,7 @@ class History:
         self.evaluations: list[Evaluation] = list(journal.evaluations())
         if self._completions and len(self.evaluations) < self._completions[-1].evaluations:
             raise damaged(journal.path, f"evaluation {len(self.evaluations)} is missing")
+        self._recorded = len(self.evaluations)  # number of evaluations of earlier sessions
         self.generations: list[Generation] = []
         self.best: Evaluation | None = None  #: the best evaluation so far, see `objective.find_best`
 
@@ -78,12 +80,16 @@ class History:
         with Journal(Path(folder), read_only=True) as journal:
             history = cls(journal)
         for _ in range(len(history._completions)):
-            history._advance(replayed=True)
+            history._advance()
         return history
 
     @cached_property
     def objective(self) -> Objective:
-        """The objective that defines the best robot: the user's own, the configured one or distance."""
+        """The objective that defines the best robot.
+
+        This is the user's own objective if it was given to `History`, else the configured one. Training
+        runs maximize the distance.
+        """
         if self._objective is not None:
             return self._objective
         return OBJECTIVES[self.config.objective] if self.kind == "evolution" else distance
@@ -149,9 +155,8 @@ class History:
 
     def robot(self, evaluation: Evaluation) -> Robot:
         """Return the robot of an evaluation, with its recorded results."""
-        fitness_m = float(to_outcomes([evaluation]).fitness()[0])
         return self.config.encoding.robot(
-            evaluation.genome, fitness_m=fitness_m, generation=evaluation.generation,
+            evaluation.genome, fitness_m=evaluation.fitness_m, generation=evaluation.generation,
             evaluation=evaluation.number,
         )  # fmt: skip
 
@@ -215,22 +220,33 @@ class History:
             return names, np.empty((0, len(names)))
         return names, self.config.encoding.values(np.array(genomes))
 
-    def replay(self, genomes: Array) -> int:
+    def count_recorded(self, genomes: Array) -> int:
         """Return how many genomes (P, n) of the next generation are in the journal already.
 
         Raises:
-            CaterpillarError: the journal has different genomes at this position.
+            CaterpillarError: the journal has different genomes, or another number of genomes.
         """
-        known = self._next_rows()
-        for evaluation, genome in zip(known, genomes, strict=False):
-            if not np.array_equal(evaluation.genome, genome):
-                raise CaterpillarError(
+        recorded, number = self._next_rows(), len(self.generations)
+        is_complete = number < len(self._completions)
+        difference = None
+        if len(recorded) > len(genomes) or (is_complete and len(recorded) < len(genomes)):
+            difference = (
+                f"generation {number} in {self._journal.path} has {len(recorded)} genomes, but the "
+                f"optimizer proposes {len(genomes)} genomes now"
+            )
+        for evaluation, genome in zip(recorded, genomes, strict=False):
+            if difference is None and not np.array_equal(evaluation.genome, genome):
+                difference = (
                     f"evaluation {evaluation.number} in {self._journal.path} has a different genome "
-                    "from the one that the optimizer proposes now. The package or NumPy has changed, or "
-                    "the journal belongs to a different run. Install the package versions listed in the "
-                    "journal's table `sessions`, or start a new run"
+                    "from the one that the optimizer proposes now"
                 )
-        return len(known)
+        if difference is not None:
+            raise CaterpillarError(
+                f"{difference}. The package, NumPy or your own optimizer has changed, or the journal "
+                "belongs to a different run. Install the package versions listed in the journal's table "
+                "`sessions`, or start a new run"
+            )
+        return len(recorded)
 
     def append(self, genomes: Array, outcomes: Outcomes) -> None:
         """Record evaluations of the next generation: genomes (P, n) in [0, 1] and their outcomes."""
@@ -243,17 +259,14 @@ class History:
         self._journal.append(rows)
         self.evaluations += rows
 
-    def complete(self, *, replayed: bool = False) -> Outcomes:
+    def complete(self) -> Outcomes:
         """Complete the next generation, and return the outcomes of its genomes.
 
         This records the completion, and writes the best robot to best.json if it changed.
-
-        Args:
-            replayed: whether all of its evaluations were in the journal already.
         """
         number, before = len(self.generations), self.best
         known = number < len(self._completions)
-        outcomes = self._advance(replayed=replayed)
+        outcomes = self._advance()
         if self.best is not None and self.kind == "evolution":
             file = self.folder / "best.json"
             if (not known and self.best is not before) or not file.exists():
@@ -277,13 +290,13 @@ class History:
     def _find_completion(self, rows: Sequence[Evaluation], outcomes: Outcomes) -> Completion:
         """Return the completion of the next generation, given all of its evaluations."""
         number, end = len(self.generations), rows[-1].number + 1
-        best, objective = self._completions[-1][2:] if self._completions else (None, None)
+        best, value = self._completions[-1][2:] if self._completions else (None, None)
         found = find_best(self.objective, outcomes)
-        if found is not None and (objective is None or found[1] > objective):
-            best, objective = rows[found[0]].number, found[1]
-        return Completion(number, end, best, objective)
+        if found is not None and (value is None or found[1] > value):
+            best, value = rows[found[0]].number, found[1]
+        return Completion(number, end, best, value)
 
-    def _advance(self, *, replayed: bool) -> Outcomes:
+    def _advance(self) -> Outcomes:
         """Summarize the next generation, and return its outcomes."""
         number, rows = len(self.generations), self._next_rows()
         if not rows:
@@ -307,7 +320,7 @@ class History:
                 failures={f.label: int(counts[f]) for f in Failure if f is not Failure.NONE},
                 evaluations=completion.evaluations,
                 simulated_s=self.simulated_s + float(outcomes.simulated_s.sum()),
-                replayed=replayed,
+                replayed=rows[-1].number < self._recorded,
                 farthest_m=max(self.farthest_m, crawled_m.max(initial=0.0)),
                 stopped=int(early.sum()),
             )

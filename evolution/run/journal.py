@@ -58,6 +58,11 @@ class Evaluation(NamedTuple):
     simulated_s: float
     session: int
 
+    @property
+    def fitness_m(self) -> float:
+        """Distance crawled forwards, m; 0 for a robot that failed. See `Outcomes.fitness`."""
+        return max(self.distance_m, 0.0) if self.failure is Failure.NONE else 0.0
+
 
 class Completion(NamedTuple):
     """The state of a run when a generation was completed."""
@@ -65,7 +70,7 @@ class Completion(NamedTuple):
     generation: int
     evaluations: int  #: number of evaluations of the run so far
     best: int | None  #: number of the best evaluation so far
-    objective: float | None  #: objective of that evaluation
+    value: float | None  #: value of the objective of that evaluation
 
 
 class Session(NamedTuple):
@@ -73,8 +78,8 @@ class Session(NamedTuple):
 
     number: int  #: number of the session, from 1
     started: str  #: date and time, UTC
-    finished: str | None  #: date and time, UTC; None if the run did not end in this session
     fingerprint: dict[str, str]  #: versions and machine type, see `fingerprint`
+    finished: str | None  #: date and time, UTC; None if the run did not end in this session
 
     @property
     def wall_s(self) -> float | None:
@@ -167,8 +172,8 @@ class Journal:
     def sessions(self) -> list[Session]:
         """All sessions, in order."""
         found = []
-        for number, start, end, text in self._read_sessions():
-            session = Session(number, start, end, self._parse(text, f"session {number}"))
+        for number, start, text, end in self._read_numbered("sessions", "session", first=1):
+            session = Session(number, start, self._parse(text, f"session {number}"), end)
             try:
                 _ = session.wall_s
             except (TypeError, ValueError):
@@ -176,26 +181,18 @@ class Journal:
             found.append(session)
         return found
 
-    def _read_sessions(self) -> list[tuple[int, str, str | None, str]]:
-        """Return number, start, end and fingerprint of each session, after checking the numbers."""
-        rows = [(row[0], row[1], row[3], row[2]) for row in self._read("sessions")]
-        for expected, (number, *_) in enumerate(rows, start=1):
-            if number != expected:
-                raise damaged(self.path, f"session {expected} is missing")
-        return rows
-
     def begin(self, packages: Sequence[str] = ()) -> None:
         """Begin a session.
 
         Args:
             packages: names of further packages whose versions are recorded, see `fingerprint`.
         """
-        row = (len(self._read_sessions()) + 1, _now(), json.dumps(fingerprint(packages)), None)
-        self._insert("sessions", [row])
+        number = 1 + sum(1 for _ in self._read_numbered("sessions", "session", first=1))
+        self._insert("sessions", [(number, _now(), json.dumps(fingerprint(packages)), None)])
 
     def finish(self) -> None:
         """Record that the run ended in its last session."""
-        number, started, _, text = self._read_sessions()[-1]
+        *_, (number, started, text, _) = self._read_numbered("sessions", "session", first=1)
         row = (number, started, text, _now())
         self._write(
             "UPDATE sessions SET finished = ?, digest = ? WHERE session = ?",
@@ -253,10 +250,9 @@ class Journal:
             JournalError: an evaluation is missing or was altered.
         """
         sizes = set()  # sizes of the genomes in bytes
-        for number, values in enumerate(self._read("evaluations")):
-            if values[0] != number:
-                raise damaged(self.path, f"evaluation {number} is missing")
-            _, generation, genome, failure, *numbers = values
+        for number, generation, genome, failure, *numbers in self._read_numbered(
+            "evaluations", "evaluation"
+        ):
             sizes.add(len(genome))
             try:
                 genes = np.frombuffer(genome, dtype="<f8").astype(np.float64)
@@ -274,11 +270,14 @@ class Journal:
         Raises:
             JournalError: a row is missing or was altered.
         """
-        found = [Completion(*values) for values in self._read("generations")]
-        for expected, (number, *_) in enumerate(found):
-            if number != expected:
-                raise damaged(self.path, f"generation {expected} is missing")
-        return found
+        return [Completion(*values) for values in self._read_numbered("generations", "generation")]
+
+    def _read_numbered(self, table: str, what: str, first: int = 0) -> Iterator[tuple[Any, ...]]:
+        """Yield the rows of a table, and check that they are numbered from `first` without gaps."""
+        for expected, row in enumerate(self._read(table), start=first):
+            if row[0] != expected:
+                raise damaged(self.path, f"{what} {expected} is missing")
+            yield row
 
     def _read(self, table: str) -> Iterator[tuple[Any, ...]]:
         """Check the digests of a table, and yield its rows without them."""

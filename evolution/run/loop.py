@@ -7,7 +7,7 @@ supplies the outcomes of genomes that were evaluated before.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -61,8 +61,9 @@ def evolve(
     """
     folder = Path(folder)
     own = {"own_optimizer": _name(optimizer), "own_objective": _name(objective)}
-    optimizer = optimizer or config.make_optimizer()  # if this fails, no folder is made
-    with evaluator or LocalEvaluator() as workers:  # if this fails, no folder is made
+    # If the next two lines fail, no folder is made.
+    optimizer = config.make_optimizer() if optimizer is None else optimizer
+    with LocalEvaluator() if evaluator is None else evaluator as workers:
         make_folder(
             folder,
             f", or continue the existing run with `caterpillar resume {shlex.quote(str(folder))}`",
@@ -98,7 +99,7 @@ def resume(
     Raises:
         JournalError: the journal cannot be opened, see `Journal`.
         CaterpillarError: the optimizer proposes genomes that differ from those in the journal, or your
-            own optimizer or objective is missing.
+            own optimizer or objective is missing, or the run did not use one.
     """
     with Journal(Path(folder)) as journal:
         history = History(journal, objective)
@@ -109,6 +110,11 @@ def resume(
                     f"{folder} was run with your own {what} ({name}); resume the run in Python with "
                     f"evolution.resume(folder, {what}=...)"
                 )
+            if name is None and given[what] is not None:
+                raise CaterpillarError(
+                    f"{folder} was run without your own {what}; resume the run without {what}=..., or "
+                    "start a new run"
+                )
         if generations is not None:
             generations = check_number("generations", generations, 1, whole=True)
         if generations is not None and generations < history.config.generations:
@@ -117,9 +123,9 @@ def resume(
                 f"and generations = {generations} is fewer"
             )
         if on_warning is not None:
-            _warn_of_versions(history, on_warning)
-        optimizer = optimizer or history.config.make_optimizer()
-        with evaluator or LocalEvaluator() as workers:
+            warn_of_versions(history, on_warning)
+        optimizer = history.config.make_optimizer() if optimizer is None else optimizer
+        with LocalEvaluator() if evaluator is None else evaluator as workers:
             if generations is not None:  # only once the evaluator is available
                 history.configure(replace(history.config, generations=generations))
             return _run(history, optimizer, workers, on_generation, on_progress)
@@ -136,10 +142,11 @@ def _run(
     history.begin()
     try:
         while history.stop_reason() is None:
-            genomes = config.encoding.check(optimizer.ask())
-            known = history.replay(genomes)
-            _evaluate(history, genomes[known:], evaluator, on_progress)
-            outcomes = history.complete(replayed=known == len(genomes))
+            # A copy, because the optimizer may change its genomes in `tell`.
+            genomes = config.encoding.check(optimizer.ask()).copy()
+            recorded = history.count_recorded(genomes)
+            _evaluate(history, genomes[recorded:], evaluator, on_progress)
+            outcomes = history.complete()
             optimizer.tell(genomes, score(history.objective, outcomes, config.failed_fitness))
             if on_generation is not None:
                 on_generation(history.generations[-1])
@@ -169,8 +176,17 @@ def _name(part: Any) -> str | None:
     return None if part is None else getattr(part, "__qualname__", type(part).__qualname__)
 
 
-def _warn_of_versions(history: History, warn: Callable[[str], None]) -> None:
-    now = fingerprint()
+def warn_of_versions(
+    history: History, warn: Callable[[str], None], packages: Sequence[str] = ()
+) -> None:
+    """Call `warn` with each session that ran with other versions or on another type of machine.
+
+    Args:
+        history: history of the run.
+        warn: function to call.
+        packages: names of further packages to compare, see `fingerprint`.
+    """
+    now = fingerprint(packages)
     for session in history.sessions:
         then = session.fingerprint
         changes = [f"{k} {then.get(k)} (now {v})" for k, v in now.items() if then.get(k) != v]

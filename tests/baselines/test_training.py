@@ -28,7 +28,7 @@ from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import Failure
-from evolution.run.journal import Journal
+from evolution.run.journal import Journal, fingerprint
 
 SMALL = Physics(num_segments=3, timestep_s=0.01)
 
@@ -100,7 +100,7 @@ def test_repeated_training_run_is_bitwise_identical(trained, tmp_path):
 def test_last_policy_reproduces_its_recorded_distance(trained):
     folder, history = trained
     robot = TrainedRobot.load(folder, "last")
-    assert robot.simulate().distance_m[0] == robot.fitness_m == history.evaluations[-1].distance_m
+    assert robot.simulate().fitness()[0] == robot.fitness_m == history.evaluations[-1].fitness_m
 
 
 def test_saved_robot_reproduces_its_distance(trained, tmp_path):
@@ -245,6 +245,16 @@ def test_resumed_training_run_is_bitwise_identical(trained, tmp_path):
         assert len(list(folder.glob("checkpoint-*.pt"))) == 1
         assert resume(folder, threads=1).history.finished
         assert_same_runs(trained[0], folder)
+
+
+def test_resume_reports_other_versions(tmp_path, monkeypatch):
+    train(config(), tmp_path, on_evaluation=stop_after(1))
+    warnings = []
+    found = fingerprint(training._PACKAGES)
+    monkeypatch.setattr("evolution.run.loop.fingerprint", lambda packages: {**found, "torch": "9.9"})
+    resume(tmp_path, on_evaluation=stop_after(1), on_warning=warnings.append)
+    assert len(warnings) == 1
+    assert "session 1 (evaluations 0 to 0) ran with torch 2." in warnings[0]
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """The journal loses no committed data if a process or disk fails, and detects damage to its file."""
 
+import errno
 import json
 import os
 import shutil
@@ -75,6 +76,15 @@ def test_any_sqlite_tool_can_read_the_journal(tmp_path):
     assert {status for _, status in rows} <= {f.label for f in Failure}
     assert json.loads(db.execute("SELECT configuration FROM run").fetchone()[0]) == CONFIGURATION
     db.close()
+
+
+def test_error_of_a_file_system_without_locks_is_reported(tmp_path, monkeypatch):
+    def fail(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("evolution.run.database.fcntl.flock", fail)
+    with pytest.raises(JournalError, match=r"cannot write .*No locks available"):
+        Journal.create(tmp_path, CONFIGURATION)
 
 
 def test_a_second_process_is_refused(tmp_path, monkeypatch):

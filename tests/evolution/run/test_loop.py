@@ -357,13 +357,63 @@ def test_genome_that_differs_in_replay_is_an_error(tmp_path, invented):
     assert "start a new run" in str(error.value)
 
 
+class Sampler:
+    """A custom optimizer whose first genomes do not depend on the number of genomes."""
+
+    def __init__(self, count):
+        self.count, self.rng = count, np.random.default_rng(0)
+
+    def ask(self):
+        return self.rng.random((self.count, len(TINY.encoding.genes)))
+
+    def tell(self, genomes, fitness):
+        assert len(genomes) == len(fitness)
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_other_number_of_genomes_is_an_error_and_leaves_the_journal_as_it_is(tmp_path, invented, count):
+    evolve(TINY, tmp_path, optimizer=Sampler(3), evaluator=invented)
+    content = load(tmp_path).table()
+    message = rf"generation 0 in .* has 3 genomes, but the optimizer proposes {count} genomes now"
+    with pytest.raises(CaterpillarError, match=message):
+        resume(tmp_path, generations=3, optimizer=Sampler(count), evaluator=invented)
+    assert load(tmp_path).table().equals(content)
+    assert resume(tmp_path, generations=3, optimizer=Sampler(3), evaluator=invented).finished
+
+
+@pytest.mark.parametrize("given", [{"optimizer": Sampler(3)}, {"objective": lambda ends: ends.energy_j}])
+def test_own_part_of_a_run_without_one_is_an_error(tmp_path, invented, given):
+    evolve(TINY, tmp_path, evaluator=invented)
+    (what,) = given
+    with pytest.raises(CaterpillarError, match=f"was run without your own {what}; resume the run"):
+        resume(tmp_path, evaluator=invented, **given)
+
+
+def test_own_optimizer_may_be_empty_and_change_its_genomes(tmp_path, invented):
+    class InPlace(Sampler):
+        def __len__(self):
+            return 0
+
+        def ask(self):
+            self.genomes = super().ask()
+            return self.genomes
+
+        def tell(self, genomes, fitness):
+            self.genomes[:] = 0.0
+
+    history = evolve(TINY, tmp_path, optimizer=InPlace(3), evaluator=invented)
+    assert len(history.evaluations) == 3 * TINY.generations
+    for ours, recorded in zip(history.evaluations, load(tmp_path).evaluations, strict=True):
+        np.testing.assert_array_equal(ours.genome, recorded.genome)
+
+
 def test_resume_reports_other_versions(tmp_path, monkeypatch, invented):
     evolve(TINY, tmp_path, evaluator=invented)
     warnings = []
     resume(tmp_path, evaluator=invented, on_warning=warnings.append)
     assert warnings == []
     now = {**fingerprint(), "mujoco": "9.9.9"}
-    monkeypatch.setattr("evolution.run.loop.fingerprint", lambda: now)
+    monkeypatch.setattr("evolution.run.loop.fingerprint", lambda packages: now)
     resume(tmp_path, evaluator=invented, on_warning=warnings.append)
     assert len(warnings) == 2
     assert "session 1 (evaluations 0 to 3) ran with mujoco 4." in warnings[0]
