@@ -131,7 +131,7 @@ class Simulation:
         Raises:
             CaterpillarError: the number of bodies differs from the number of rows.
         """
-        index = self.rows(rows)
+        index = self.indices(rows)
         if bodies is None:
             bodies = [self.bodies[row] for row in index]
         if len(bodies) != len(index):
@@ -183,7 +183,7 @@ class Simulation:
         Raises:
             CaterpillarError: `qpos` has the wrong shape.
         """
-        index = self.rows(rows)
+        index = self.indices(rows)
         expected = (len(index), self._qpos.shape[1])
         if qpos.shape != expected:
             raise CaterpillarError(f"qpos must have shape {expected}; got {qpos.shape}")
@@ -192,7 +192,7 @@ class Simulation:
 
     def get_state(self, rows: Rows | None = None) -> SimulationState:
         """Return the state of robots as new arrays, from which their motion can be repeated exactly."""
-        index = self.rows(rows)
+        index = self.indices(rows)
         return SimulationState(*(field[index] for field in self._state_fields()))
 
     def set_state(self, state: SimulationState, rows: Rows | None = None) -> None:
@@ -202,7 +202,7 @@ class Simulation:
             state: state of R robots.
             rows: indices of the robots to change, (R,); all by default.
         """
-        index = self.rows(rows)
+        index = self.indices(rows)
         self.engine.reset(index, stage=mujoco.mjtStage.mjSTAGE_NONE.value)  # clears warnings
         for field, value in zip(self._state_fields(), state, strict=True):
             field[index] = value
@@ -226,7 +226,7 @@ class Simulation:
         Raises:
             CaterpillarError: `power` has the wrong shape.
         """
-        index = self.rows(rows)
+        index = self.indices(rows)
         if power.ndim != 3 or power[:, 0].shape != (len(index), self.physics.num_springs):
             raise CaterpillarError(
                 f"power must have shape ({len(index)}, steps, {self.physics.num_springs}); "
@@ -303,11 +303,11 @@ class Simulation:
 
     def diverged(self, rows: Rows | None = None) -> NDArray[np.bool_]:
         """Return whether the state is not finite or MuJoCo has warned since reset, (R,)."""
-        return find_diverged(self.rows(rows), self.engine.warning, self._qpos, self._qvel)
+        return find_diverged(self.indices(rows), self.engine.warning, self._qpos, self._qvel)
 
     def pose(self, rows: Rows | None = None) -> Pose:
         """Return the positions of the rows as new arrays."""
-        index = self.rows(rows)
+        index = self.indices(rows)
         axes = self._axes[index]
         return Pose(
             time_s=self._steps[index].astype(np.float64) * SMA_STEP_S,
@@ -320,7 +320,7 @@ class Simulation:
 
     def state(self, rows: Rows | None = None) -> BodyState:
         """Return the positions and velocities of the rows as new arrays."""
-        index = self.rows(rows)
+        index = self.indices(rows)
         pose, sma = self.pose(index), self._sma.rows(index)
         return BodyState(
             **vars(pose),
@@ -343,6 +343,6 @@ class Simulation:
         mujoco.mj_fwdVelocity(self.models[row], data)
         return data
 
-    def rows(self, rows: Rows | None = None) -> Rows:
+    def indices(self, rows: Rows | None = None) -> Rows:
         """Return `rows`, or the indices of all robots for None."""
         return np.arange(len(self.bodies)) if rows is None else rows

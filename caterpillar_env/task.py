@@ -198,7 +198,7 @@ class Crawl:
         self.direction = np.zeros((len(bodies), 2))
         self._measured = np.zeros((len(bodies), 6))  # the first six fields of `Progress`
         self._borne_s = np.zeros(len(bodies))  # integral of the body's share of the load over time
-        self._start(self.simulation.rows(), 0.0)
+        self._start(self.simulation.indices(), 0.0)
 
     def reset(
         self,
@@ -221,7 +221,7 @@ class Crawl:
             offset: offset to add to the positions of the internal joints, m or rad, (R, J).
         """
         self.simulation.reset(bodies, rows, conditions=conditions)
-        index = self.simulation.rows(rows)
+        index = self.simulation.indices(rows)
         if heading_rad != 0.0 or offset is not None:
             qpos = np.stack([self.simulation.qpos(row) for row in index])
             if heading_rad != 0.0:
@@ -234,7 +234,7 @@ class Crawl:
 
     def get_state(self, rows: Rows | None = None) -> CrawlState:
         """Return the state of robots as new arrays, from which their motion can be repeated exactly."""
-        index = self.simulation.rows(rows)
+        index = self.simulation.indices(rows)
         fields = (field[index] for field in self._state_fields())
         return CrawlState(self.simulation.get_state(index), *fields)
 
@@ -245,7 +245,7 @@ class Crawl:
             state: state of R robots.
             rows: indices of the robots to change, (R,); all by default.
         """
-        index = self.simulation.rows(rows)
+        index = self.simulation.indices(rows)
         self.simulation.set_state(state.simulation, index)
         for field, value in zip(self._state_fields(), state[1:], strict=True):
             field[index] = value
@@ -282,7 +282,7 @@ class Crawl:
         Raises:
             CaterpillarError: `power` has the wrong shape or a wrong number of steps.
         """
-        index = self.simulation.rows(rows)
+        index = self.simulation.indices(rows)
         steps = power.shape[1] if power.ndim == 3 else -1
         if steps < 0 or steps % STEPS_PER_INTERVAL or len(power) != len(index):
             raise CaterpillarError(
@@ -313,7 +313,7 @@ class Crawl:
 
     def progress(self, rows: Rows | None = None) -> Progress:
         """Return the progress of the robots since reset, as measured after their last interval."""
-        index = self.simulation.rows(rows)
+        index = self.simulation.indices(rows)
         return Progress._make((*self._measured[index].T, self.failure[index]))
 
     def _measure(self, index: Rows, pose: Pose) -> Array:

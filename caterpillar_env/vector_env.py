@@ -127,7 +127,7 @@ class CaterpillarVectorEnv(
         """
         if not self._generators:
             raise CaterpillarError("call reset() before get_state()")
-        index = self.crawl.simulation.rows(rows)
+        index = self.crawl.simulation.indices(rows)
         return self._episodes.get_state(index, [self._generators[row] for row in index])
 
     def set_state(self, state: EpisodeState, rows: Rows | None = None) -> None:
@@ -140,7 +140,7 @@ class CaterpillarVectorEnv(
         Raises:
             CaterpillarError: the state has another number of robots or segments.
         """
-        index = self.crawl.simulation.rows(rows)
+        index = self.crawl.simulation.indices(rows)
         self._observations[index] = self._episodes.set_state(state, index)
         if not self._generators:
             self._generators = [np_random(None)[0] for _ in range(self.num_envs)]
