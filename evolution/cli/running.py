@@ -48,6 +48,10 @@ class WorkerArgs(ThreadArgs):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_address(self.ray_address, self.evaluator)
+        if self.threads and self.evaluator == "ray":
+            raise CaterpillarError(
+                "--threads requires --evaluator local; Ray uses all cores of its cluster"
+            )
 
     def make_evaluator(self) -> Evaluator:
         """Make the evaluator."""
@@ -128,7 +132,7 @@ def write_results(history: History, console: Console, *, video: bool) -> None:
     else:
         distance = f"{1000 * (best.fitness_m or 0.0):.1f} mm in 30 s"
         print(f"best: {distance}, evaluation {best.evaluation} in generation {best.generation}")
-        if path.exists():
+        if path.exists() and is_video_of(path, best):
             print(f"film: {path}")
     print(f"page: {page}")
     print_commands(history)

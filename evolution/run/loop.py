@@ -144,6 +144,8 @@ def _run(
         while history.stop_reason() is None:
             # A copy, because the optimizer may change its genomes in `tell`.
             genomes = config.encoding.check(optimizer.ask()).copy()
+            if not len(genomes):
+                raise CaterpillarError("the optimizer proposed no genomes; `ask` must return some")
             recorded = history.count_recorded(genomes)
             _evaluate(history, genomes[recorded:], evaluator, on_progress)
             outcomes = history.complete()

@@ -181,7 +181,7 @@ class StudyConfig:
             assert isinstance(arm, EvolutionArm)
             is_longer = name == self.reference and self.long_seeds
             budget_s = self.long_budget_s if is_longer else self.budget_s
-            count = max(self.generations) if is_longer else min(self.generations)
+            count = min(self.generations) if self.long_seeds and not is_longer else max(self.generations)
             needed_s = EPISODE_S * replace(arm.config, generations=count).evaluations()
             if needed_s > budget_s:
                 found.append(
@@ -216,8 +216,8 @@ def preset(name: str) -> StudyConfig:
 def begin(config: StudyConfig, folder: Path) -> None:
     """Write a study's configuration into its folder. The folder is created if it is missing.
 
-    Arms, seeds, longer runs and `compare_at_s` can be added to an existing study. Its budget, its
-    references and the settings of its arms cannot be changed.
+    Arms, seeds, longer runs and `compare_at_s` can be added to an existing study. Its budget and its
+    references cannot be changed, and its arms can be neither changed nor removed.
 
     Raises:
         CaterpillarError: the folder contains other files, or a study with different settings.
@@ -232,7 +232,7 @@ def begin(config: StudyConfig, folder: Path) -> None:
             for arm in before.arms
             if arm in config.arms and config.reference_of(arm) != before.reference_of(arm)
         ]
-        changed += [f"arms.{a}" for a, arm in before.arms.items() if config.arms.get(a, arm) != arm]
+        changed += [f"arms.{a}" for a, arm in before.arms.items() if config.arms.get(a) != arm]
         if changed:
             raise CaterpillarError(
                 f"{folder} holds a study that differs in {', '.join(changed)}, so its runs are not "

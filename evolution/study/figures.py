@@ -66,7 +66,8 @@ def draw_generations(analysis: Analysis) -> Figure | None:
         label = f"{arm} ({len(runs)})"
         axis.plot(generations[:whole], median[:whole], color=colours[arm], linewidth=2, label=label)
         if count > whole:
-            axis.plot(generations[whole - 1 :], median[whole - 1 :], "--", color=colours[arm])
+            first = max(whole - 1, 0)
+            axis.plot(generations[first:], median[first:], "--", color=colours[arm])
     axis.set(xlim=(0, None), ylim=(0, None))
     _add_legend(axis)
     return figure
@@ -185,8 +186,11 @@ def _new_figure(ylabel: str) -> tuple[Figure, Axes]:
 
 def _colours(analysis: Analysis) -> dict[str, Any]:
     """Return the colour of each arm that has runs."""
-    palette = colormaps["tab10" if len(analysis.runs) <= 10 else "tab20"]
-    return {arm: palette(number % 20) for number, arm in enumerate(analysis.runs)}
+    count = len(analysis.runs)
+    if count > 20:
+        return dict(zip(analysis.runs, colormaps["turbo"](np.linspace(0, 1, count)), strict=True))
+    palette = colormaps["tab10" if count <= 10 else "tab20"]
+    return {arm: palette(number) for number, arm in enumerate(analysis.runs)}
 
 
 def _add_legend(axis: Axes) -> None:

@@ -50,7 +50,7 @@ def write(analysis: Analysis, retest: Retest, folder: Path) -> Path:
                 shown.append((name, _CAPTIONS[name], data_url("image/png", path.read_bytes())))
     filters = {
         "mm": lambda metres: "unknown" if isnan(metres) else f"{1000 * metres:.1f}",
-        "percent": lambda share: f"{100 * share:.1f} %",
+        "percent": lambda share: "unknown" if isnan(share) else f"{100 * share:.1f} %",
         "mm_interval": lambda estimate: format_estimate(estimate, "{:.1f}", 1000.0),
         "whole": lambda estimate: format_estimate(estimate, "{:,.0f}"),
         "ratio": format_estimate,

@@ -46,7 +46,7 @@ def read_run(config: StudyConfig, cell: Cell, study: Path) -> History | None:
         return None  # running this cell reports the error
     if not config.arms[cell.arm].matches(history, cell.seed, config.budget_of(cell)):
         raise CaterpillarError(
-            f"{folder} was run with other settings; delete this folder, or choose another study folder "
+            f"{folder} was run with other settings than those of the study; choose another study folder "
             "with --out"
         )
     return history
@@ -200,7 +200,8 @@ class Run(NamedTuple):
         """Return the best distance (m) after a number of generations, or NaN beyond the budget."""
         if generations > self.generations:
             return float("nan")
-        return float(self.best_m[np.searchsorted(self.generation, generations - 1, side="right") - 1])
+        count = int(np.searchsorted(self.generation, generations, side="left"))
+        return float(self.best_m[count - 1]) if count else 0.0
 
     def best_at(self, time_s: float) -> float:
         """Return the best distance (m) at a simulated time."""

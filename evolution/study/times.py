@@ -71,7 +71,8 @@ class Times(NamedTuple):
     acceleration: Estimate | None
     running_time_s: Estimate  #: expected running time (ERT) within the study's `budget_s`
     speed_up: Estimate | None  #: ratio of ERTs, reference to arm; None for a reference
-    log_rank_p: float | None  #: against the reference, corrected over the arms (Holm)
+    #: against the reference, corrected over the arms (Holm); None if the threshold is not known
+    log_rank_p: float | None
 
 
 def arrivals(runs: Sequence[Run], threshold_m: float, budget_s: float = np.inf) -> Arrivals:
@@ -123,7 +124,7 @@ def find_times(config: StudyConfig, runs: Runs, threshold: Threshold) -> list[Ti
         counts = acceleration = None
         if arm in comparable:
             counts = count_generations(found, level_m)
-            if arm in speed_up and threshold.fixed_m is None:
+            if config.reference_of(arm) in comparable and arm in speed_up and threshold.fixed_m is None:
                 acceleration = _accelerate(threshold, found, reference)
         rows.append(
             Times(
@@ -136,7 +137,7 @@ def find_times(config: StudyConfig, runs: Runs, threshold: Threshold) -> list[Ti
                 acceleration=acceleration,
                 running_time_s=_running_time(threshold, found, reference, budget_s),
                 speed_up=speed_up.get(arm),
-                log_rank_p=log_rank.get(arm),
+                log_rank_p=None if np.isnan(level_m) else log_rank.get(arm),
             )
         )
     return rows

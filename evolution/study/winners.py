@@ -16,7 +16,10 @@ from caterpillar_env.robot import AnyRobot, Robot, simulate, stack
 from caterpillar_env.sma import SmaSpring
 from caterpillar_env.task import Failure
 from caterpillar_env.validation.gaits import Gait, measure_gait
+from evolution.run.database import JournalError
+from evolution.run.history import History
 from evolution.study.analysis import Analysis
+from evolution.study.arms import Arm
 from evolution.study.config import Cell, StudyConfig
 from evolution.study.results import Run, read_kept
 
@@ -116,7 +119,9 @@ def retest_winners(analysis: Analysis, folder: Path, *, every_run: bool = False)
     rows: dict[_Key, _Row] = {(row["arm"], row["seed"], row["recorded_m"]): row for row in known}
     retest = Retest([], [], [])
     for arm, runs in analysis.runs.items():
-        found = {(arm, run.seed, float(run.best_m[-1])): run for run in runs if run.best_m[-1] > 0}
+        found = {
+            (arm, run.seed, run.best_at(math.inf)): run for run in runs if run.best_at(math.inf) > 0
+        }
         if not found:
             continue
         best = max(found, key=lambda key: key[2])
@@ -148,7 +153,9 @@ def _is_complete(row: _Row) -> bool:
 def _retest_best(config: StudyConfig, folder: Path, run: Run, row: _Row) -> bool:
     """Simulate the best robot of an arm at the reference timestep; return whether the row changed."""
     path, known = folder / "winners" / f"{row['arm']}.json", FINE in row["references"]
-    robot = None if known and path.exists() else load_winner(config, folder, row["arm"], run)
+    if known and _load_saved(config.arms[row["arm"]], path, row["recorded_m"]) is not None:
+        return False
+    robot = load_winner(config, folder, row["arm"], run)
     if robot is None:
         return False
     path.parent.mkdir(exist_ok=True)
@@ -205,26 +212,48 @@ def _file_of(folder: Path, cell: Cell) -> Path:
 
 def load_winner(config: StudyConfig, folder: Path, arm: str, run: Run) -> AnyRobot | None:
     """Return a run's best robot within the budget, or None if it cannot be recreated."""
-    cell, best_m = Cell(arm, run.seed), float(run.best_m[-1])
-    file = _file_of(folder, cell)
-    number = int(run.best_m.argmax())
-    if file.exists():
-        try:
-            robot = config.arms[arm].load(file)
-        except CaterpillarError:
-            if not cell.folder(folder).exists():
-                raise
-        else:
-            if robot.fitness_m == best_m:
-                return robot
-    if cell.folder(folder).exists():
-        return config.arms[arm].robot(cell.folder(folder), number)
+    cell, number = Cell(arm, run.seed), int(run.best_m.argmax())
+    file, run_folder = _file_of(folder, cell), cell.folder(folder)
+    has_run = run_folder.exists()
+    robot = _load_saved(config.arms[arm], file, float(run.best_m[number]), strict=not has_run)
+    if robot is not None:
+        return robot
     if not config.arms[arm].restorable:
-        return None
+        return config.arms[arm].robot(run_folder, number) if has_run else None
+    if _has_evaluation(run_folder, number):
+        return config.arms[arm].robot(run_folder, number)
     with tempfile.TemporaryDirectory() as scratch:
         rows = read_kept(folder)[cell]
         config.arms[arm].restore(rows, Path(scratch, "run"), run.seed, config.budget_of(cell))
         return config.arms[arm].robot(Path(scratch, "run"), number)
+
+
+def _load_saved(arm: Arm, file: Path, best_m: float, *, strict: bool = False) -> AnyRobot | None:
+    """Return the robot in a file, or None if the file is missing or has a robot with another distance.
+
+    Args:
+        arm: arm of the robot.
+        file: JSON file of the robot.
+        best_m: recorded distance of the robot.
+        strict: whether to raise an error if the file is damaged. By default, return None.
+    """
+    if not file.exists():
+        return None
+    try:
+        robot = arm.load(file)
+    except CaterpillarError:
+        if strict:
+            raise
+        return None
+    return robot if robot.fitness_m == best_m else None
+
+
+def _has_evaluation(folder: Path, number: int) -> bool:
+    """Return whether the journal of a run has an evaluation. It may be older than the study's table."""
+    try:
+        return len(History.read(folder).evaluations) > number
+    except JournalError:
+        return False
 
 
 def _describe(distance_m: float, failure: int) -> dict[str, Any]:

@@ -7,9 +7,10 @@ import time
 import pytest
 from rich.console import Console
 
+from caterpillar_env.errors import CaterpillarError
 from evolution import cli
 from evolution.cli import running
-from evolution.cli.running import Reporter
+from evolution.cli.running import Reporter, WorkerArgs
 from evolution.config import RunConfig
 from evolution.optimizers.ga import GaConfig
 from evolution.run.history import Generation, load
@@ -51,7 +52,12 @@ def test_share_done_never_decreases(budget_s):
     assert done[-1] == pytest.approx(1.0)
 
 
-def test_video_is_written_unless_it_already_shows_the_best_robot(run, monkeypatch):
+def test_threads_and_a_ray_cluster_are_not_combined():
+    with pytest.raises(CaterpillarError, match="--threads requires --evaluator local"):
+        WorkerArgs(threads=2, evaluator="ray")
+
+
+def test_video_is_written_unless_it_already_shows_the_best_robot(run, monkeypatch, capsys):
     history, made = load(run[0]), []
     path, console = history.folder / "best.mp4", Console(file=io.StringIO())
     monkeypatch.setattr(cli, "film", lambda *arguments: made.append(arguments))
@@ -61,10 +67,13 @@ def test_video_is_written_unless_it_already_shows_the_best_robot(run, monkeypatc
     )
     running.write_results(history, console, video=True)
     path.write_bytes(b"another robot")
+    capsys.readouterr()
     running.write_results(history, console, video=False)
+    assert "film: " not in capsys.readouterr().out
     running.write_results(history, console, video=True)
     path.write_bytes(b"it")
     running.write_results(history, console, video=True)
+    assert f"film: {path}" in capsys.readouterr().out
     path.unlink()
     filmed = [(recording.robot.digest, where) for recording, where, _ in made]
     assert filmed == [(history.best_robot.digest, path)] * 2

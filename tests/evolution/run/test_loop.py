@@ -407,6 +407,11 @@ def test_own_optimizer_may_be_empty_and_change_its_genomes(tmp_path, invented):
         np.testing.assert_array_equal(ours.genome, recorded.genome)
 
 
+def test_optimizer_without_genomes_is_an_error(tmp_path, invented):
+    with pytest.raises(CaterpillarError, match="the optimizer proposed no genomes"):
+        evolve(TINY, tmp_path, optimizer=Sampler(0), evaluator=invented)
+
+
 def test_resume_reports_other_versions(tmp_path, monkeypatch, invented):
     evolve(TINY, tmp_path, evaluator=invented)
     warnings = []

@@ -166,6 +166,15 @@ def test_reference_needs_more_generations_for_the_distance_of_the_arm(few_draws)
 THRESHOLD = Threshold(generations=2)
 
 
+def test_generations_of_different_optimizers_give_no_acceleration(few_draws):
+    arms = {**CONFIG.to_dict()["arms"], "shade": {"optimizer": "shade"}}
+    config = with_own_thresholds(arms=arms, references={"ga-preprocessed": "shade"})
+    table = polars.concat([runs(arm, [ramp(0.01, 0.02)] * 4) for arm in ("shade", "ga-preprocessed")])
+    rows = {row.arm: row for row in analyse(config, Results(table, [])).times[THRESHOLD]}
+    assert rows["ga-preprocessed"].speed_up.value == 1.0
+    assert rows["ga-preprocessed"].acceleration is None
+
+
 def test_arm_with_half_the_generations_has_an_acceleration_of_2(few_draws):
     config = with_own_thresholds(seeds=[0, 1, 2, 3, 4])
     table = polars.concat(
@@ -213,6 +222,20 @@ def test_threshold_is_unknown_until_the_reference_has_runs(few_draws):
     assert np.isnan(row.threshold_m)
     assert (row.reached, row.speed_up, found.speed_ups) == (0, None, {})
     assert "after 2 generations is 0 or not known yet." in summarize(found)[0]
+
+
+def test_unknown_threshold_is_not_tested(few_draws):
+    arms = ("ga-uniform", "ga-preprocessed")
+    table = polars.concat([runs(arm, [ramp(0.0, 0.01, 5)] * 4) for arm in arms])
+    found = analyse(with_own_thresholds(), Results(table, []))  # one generation of two
+    assert [row.log_rank_p for row in found.times[THRESHOLD]] == [None, None]
+
+
+def test_runs_without_an_evaluation_within_the_budget_reach_nothing(few_draws):
+    table = runs("ga-uniform", [[0.1] * 5] * 5).with_columns(simulated_s=200.0)
+    found = analyse(CONFIG, Results(table, []))
+    assert [row.reached for row in found.times[Threshold(0.09)]] == [0]
+    assert [row.median_m.value for row in found.distances[CONFIG.budget_s]] == [0.0]
 
 
 @pytest.mark.slow

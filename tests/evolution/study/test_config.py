@@ -121,6 +121,13 @@ def test_budget_that_is_too_short_gives_a_warning():
     assert StudyConfig.from_dict(changed(budget_s=210)).warnings() == []
 
 
+def test_generations_beyond_the_budget_give_a_warning():
+    (warning,) = StudyConfig.from_dict(changed(generations=[1, 50])).warnings()
+    assert warning.startswith("arms.ga-uniform: 50 generations, after which arms are compared, may not")
+    longer = {"long_seeds": [0], "long_budget_s": 4530}  # 4 evaluations and 49 times 3 more, 30 s each
+    assert StudyConfig.from_dict(changed(generations=[1, 50], **longer)).warnings() == []
+
+
 def test_generations_are_comparable_within_one_algorithm():
     assert StudyConfig.from_dict(SMALL).comparable() == ["ga-uniform"]
     assert preset("pilot").comparable() == ["ga-uniform", "ga-preprocessed", "ga-mirrored"]
@@ -142,6 +149,7 @@ def test_arms_and_seeds_can_be_added_to_a_study(tmp_path):
         ({"references": {"ga-uniform": "cma-es"}}, "a study that differs in references.ga-uniform"),
         ({"generations": [1]}, "a study that differs in generations"),
         ({"arms": {**SMALL["arms"], "cma-es": {"optimizer": "random"}}}, "that differs in arms.cma-es"),
+        ({"arms": {"ga-uniform": SMALL["arms"]["ga-uniform"]}}, "that differs in arms.cma-es"),
     ],
     ids=str,
 )

@@ -147,6 +147,20 @@ def test_page_of_policies_has_no_table_of_gaits(tmp_path):
     assert "How the best robots crawl" not in page
 
 
+def test_page_says_that_all_robots_failed(tmp_path):
+    nan = float("nan")
+    retest = Retest([], [Comparison("ga-uniform", "friction 0.4", 2, 2, nan, nan, nan, 0.0)], [])
+    page = report.write(replace(STUDY, runs={}), retest, tmp_path).read_text("utf-8")
+    assert "<td>2<td>2<td>unknown<td>unknown to unknown<td>0.0</tr>" in page
+
+
+@pytest.mark.parametrize("count", [10, 20, 36])
+def test_every_arm_has_its_own_colour(count):
+    runs = {f"arm{number}": [] for number in range(count)}
+    colours = figures._colours(replace(STUDY, runs=runs))
+    assert len({tuple(colour) for colour in colours.values()}) == count
+
+
 def test_page_names_a_threshold_that_the_reference_does_not_define(tmp_path):
     unknown = {Threshold(generations=9): [TIMES._replace(threshold_m=np.nan)]}
     page = report.write(replace(STUDY, times=unknown, runs={}), Retest([], [], []), tmp_path)

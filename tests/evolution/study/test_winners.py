@@ -19,6 +19,8 @@ from caterpillar_env.validation.gaits import measure_gait
 from caterpillar_env.validation.robots import random_robots
 from evolution import evolve
 from evolution import load as load_run
+from evolution.run.history import History
+from evolution.run.journal import Journal
 from evolution.study import winners
 from evolution.study.analysis import analyse
 from evolution.study.config import Cell, StudyConfig, begin
@@ -62,6 +64,9 @@ class ArtificialArm:
 
     def robot(self, folder, evaluation):
         return ArtificialRobot(evaluation / 10)
+
+    def load(self, path):
+        return ArtificialRobot(float(path.read_text()))
 
 
 def make_run(seed, best_m):
@@ -226,6 +231,33 @@ def test_robot_is_restored_from_the_table_of_evaluations(tmp_path, invented):
     retest_winners(analysis, tmp_path)
     assert Robot.load(tmp_path / "winners" / "ga-uniform.json").to_dict() == expected.to_dict()
     assert not (tmp_path / "cells").exists()
+
+
+def test_robot_comes_from_the_table_if_the_run_folder_is_older(tmp_path, invented):
+    data = tomllib.loads(Path(__file__).with_name("small.toml").read_text("utf-8"))
+    config = StudyConfig.from_dict({**data, "seeds": [3], "arms": {"ga-uniform": {"prior": "uniform"}}})
+    begin(config, tmp_path)
+    cell, arm = config.cells()[0], config.arms["ga-uniform"]
+    run = arm.run_config(3, config.budget_s)
+    expected = evolve(run, cell.folder(tmp_path), evaluator=invented).best_robot
+    collect(config, tmp_path)
+    shutil.rmtree(cell.folder(tmp_path))
+    evolve(replace(run, budget_s=30.0), cell.folder(tmp_path), evaluator=invented)
+    with Journal(cell.folder(tmp_path)) as journal:
+        History(journal).configure(run)
+    retest_winners(analyse(config, collect(config, tmp_path)), tmp_path)
+    assert Robot.load(tmp_path / "winners" / "ga-uniform.json").to_dict() == expected.to_dict()
+
+
+def test_saved_winner_of_an_arm_is_replaced_if_its_run_no_longer_counts(study, tmp_path):
+    for seed in (0, 1):
+        Cell("a", seed).folder(tmp_path).mkdir(parents=True)
+    study({0: 0.2, 1: 0.3})
+    study({0: 0.2})
+    study({0: 0.2, 1: 0.3})
+    assert (tmp_path / "winners" / "a.json").read_text() == "0.3"
+    study({0: 0.2})
+    assert (tmp_path / "winners" / "a.json").read_text() == "0.2"
 
 
 # Damaged files
