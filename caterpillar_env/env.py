@@ -52,9 +52,10 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         ctrl_cost_weight: cost of a joule of electrical energy.
         failure_cost: cost of a failure.
         reset_noise_scale: at reset, hinges are displaced by up to this many rad and axial joints by up
-            to this many cm.
-        goal_heading_rad: direction to crawl in, counter-clockwise from the heading at reset, from -0.7
-            to 0.7 rad. Distances, rewards and the heading in the observation refer to it.
+            to this many cm, but not beyond their limits.
+        goal_heading_rad: direction to crawl in, counter-clockwise from the direction in which the head
+            points at reset, from -0.7 to 0.7 rad. Distances, rewards and the heading in the observation
+            refer to it.
         randomization: ranges of the conditions to sample at each reset: a mapping from fields of
             `Randomization` to lower and upper bounds.
         faults: number of springs that fail in each episode, or a mapping of fields of `Faults`.
@@ -154,15 +155,17 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         """
         self._episodes.set_state(state, _ROW)
         (generator,) = state.generators
-        self._np_random = make_generator(generator)
+        self.np_random = make_generator(generator)  # type: ignore[assignment]  # None: unseeded
         self._running = True
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the arguments and the state, for `copy.deepcopy` and pickle."""
-        return {**EzPickle.__getstate__(self), "state": self.get_state() if self._running else None}
+        state = self.get_state() if self._running else None
+        return {**EzPickle.__getstate__(self), "spec": self._spec, "state": state}
 
     def __setstate__(self, data: dict[str, Any]) -> None:
         EzPickle.__setstate__(self, data)
+        self._spec = data["spec"]
         if data["state"] is not None:
             self.set_state(data["state"])
 

@@ -103,6 +103,11 @@ class Episodes:
         )
 
     @property
+    def episode_s(self) -> float:
+        """Simulated length of an episode without failure, s."""
+        return self._limit * CONTROL_INTERVAL_S
+
+    @property
     def max_steps(self) -> int:
         """Number of steps in an episode without failure."""
         return -(-self._limit // self._step_intervals)
@@ -136,6 +141,7 @@ class Episodes:
         conditions = None
         if config.randomization is not None:
             conditions = [config.randomization.draw(physics, g) for g in generators]
+        self._kept[rows] = 1.0
         if config.faults is not None:
             for row, g in zip(rows, generators, strict=True):
                 self._kept[row], self._fault_step[row] = config.faults.draw(physics.num_springs, g)
@@ -201,7 +207,7 @@ class Episodes:
         # The last gait period of an episode may be cut short.
         left = np.minimum(self._limit - self._intervals[rows], self._step_intervals)
         power = self._power(actions)
-        if config.faults is not None:
+        if (self._kept[rows] != 1.0).any():
             number = self._intervals[rows, None] * STEPS_PER_INTERVAL + np.arange(power.shape[1])
             broken = number >= self._fault_step[rows, None]
             power = power * np.where(broken[..., None], self._kept[rows, None], 1.0)
@@ -327,6 +333,6 @@ def make_generator(state: dict[str, Any] | None) -> np.random.Generator | None:
     """Create a random generator from an entry of `EpisodeState.generators`; None stays None."""
     if state is None:
         return None
-    generator = np.random.Generator(np.random.PCG64())
+    generator = np.random.Generator(getattr(np.random, state["bit_generator"])())
     generator.bit_generator.state = state
     return generator

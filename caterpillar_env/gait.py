@@ -36,7 +36,7 @@ def pair_names(num_segments: int) -> list[str]:
     return [f"gap{g + 1}_{height}" for g in range(num_segments - 1) for height in ("dorsal", "ventral")]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GaitTimings:
     """On and off times of springs, or of left-right pairs, with a common period.
 
@@ -121,6 +121,8 @@ class GaitTimings:
     def to_phases(self, *, springs: bool = False) -> tuple[Array, Array]:
         """Return delays and duties, as shares of the period in [0, 1), (..., n); see `from_phases`.
 
+        A spring that is always powered gets the duty `MAX_DUTY`.
+
         Args:
             springs: whether the timings have a value for each spring, instead of each pair.
         """
@@ -130,7 +132,9 @@ class GaitTimings:
         delay[..., 1:] -= on[..., :1]
         delay[..., 1, 0] -= on[..., 0, 0]
         delay[..., 1:, 0, 0] -= on[..., :-1, 0, 0]
-        return delay.reshape(self.on_s.shape) % 1.0, (self.off_s - self.on_s) / self.period_s % 1.0
+        always = self.off_s - self.on_s == self.period_s
+        duty = np.where(always, MAX_DUTY, (self.off_s - self.on_s) / self.period_s % 1.0)
+        return delay.reshape(self.on_s.shape) % 1.0, duty
 
     def to_action(self) -> NDArray[np.float32]:
         """Return the action for these timings, shape (..., 2 n), float32; see `from_action`."""

@@ -62,7 +62,8 @@ def model_xml(body: Body, physics: Physics, *, scenery: bool = True) -> str:
     """Return a robot as MJCF, for use in MuJoCo without this package.
 
     For the arguments, see `build_model`. Numbers have full precision, so the XML compiles to the same
-    model. Only the ruler's texture and the effect of `trim_tendons` are missing.
+    model. Only the ruler's texture and the effect of `trim_tendons` are missing. In the world `rough`,
+    the simulation also lifts the robot at the start.
     """
     builder = ModelBuilder(physics, scenery=scenery)
     builder.build(body)

@@ -161,9 +161,9 @@ class AnyRobot(Protocol):
         """Write the robot as JSON. For a trained policy, also write the weights next to this file."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Robot:
-    """A body, its gait, and the physics of its evaluation."""
+    """A body, its gait, and the physics of its evaluation. Compare robots by their `digest`."""
 
     morphology: Body
     timings: GaitTimings  #: timings of mirrored pairs or springs, arrays of shape (pairs,) or (springs,)

@@ -218,7 +218,8 @@ class Crawl:
             conditions: conditions of each of these robots; None means those of `physics`.
             heading_rad: direction that the robots face, counter-clockwise from world x, rad.
             goal_heading_rad: direction to crawl in, counter-clockwise from `heading_rad`, rad.
-            offset: offset to add to the positions of the internal joints, m or rad, (R, J).
+            offset: offset to add to the positions of the internal joints, m or rad, (R, J). The sums are
+                clipped to the limits of the joints.
         """
         self.simulation.reset(bodies, rows, conditions=conditions)
         index = self.simulation.indices(rows)
@@ -228,7 +229,10 @@ class Crawl:
                 half = heading_rad / 2
                 qpos[:, 3:FREE_QPOS] = [np.cos(half), 0.0, 0.0, np.sin(half)]
             if offset is not None:
-                qpos[:, FREE_QPOS:] += offset
+                limits = np.array([self.simulation.models[row].jnt_range[1:] for row in index])
+                qpos[:, FREE_QPOS:] = np.clip(
+                    qpos[:, FREE_QPOS:] + offset, limits[..., 0], limits[..., 1]
+                )
             self.simulation.place(qpos, index, standing=offset is not None)
         self._start(index, heading_rad + goal_heading_rad)
 

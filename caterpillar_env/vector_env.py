@@ -102,7 +102,7 @@ class CaterpillarVectorEnv(
         self._mode = _read_mode(autoreset_mode)
         self._episodes = Episodes(bodies, config, threads)
         self.crawl = self._episodes.crawl
-        self.step_s, self.episode_s = self._episodes.step_s, episode_s
+        self.step_s, self.episode_s = self._episodes.step_s, self._episodes.episode_s
         self.observation_names = self._episodes.observation_names
         self.on_interval: OnInterval | None = None
         self.single_action_space = self._episodes.action_space
@@ -113,6 +113,8 @@ class CaterpillarVectorEnv(
         self.render_mode = render_mode
         self._pictures = Pictures(self.crawl, View(width, height, camera_name))
         self._generators: list[np.random.Generator] = []
+        self._seeds: list[int] = []
+        self._running = False
         self._done = np.zeros(num_envs, dtype=bool)
         self._observations = np.zeros(self.observation_space.shape or (), dtype=np.float32)
 
@@ -125,7 +127,7 @@ class CaterpillarVectorEnv(
         Raises:
             CaterpillarError: `reset` has not been called yet.
         """
-        if not self._generators:
+        if not self._running:
             raise CaterpillarError("call reset() before get_state()")
         index = self.crawl.simulation.indices(rows)
         return self._episodes.get_state(index, [self._generators[row] for row in index])
@@ -142,19 +144,39 @@ class CaterpillarVectorEnv(
         """
         index = self.crawl.simulation.indices(rows)
         self._observations[index] = self._episodes.set_state(state, index)
-        if not self._generators:
-            self._generators = [np_random(None)[0] for _ in range(self.num_envs)]
+        self._make_generators([None] * self.num_envs)
         for row, known in zip(index, state.generators, strict=True):
-            self._generators[row] = make_generator(known) or self._generators[row]
+            if (generator := make_generator(known)) is not None:
+                self._generators[row], self._seeds[row] = generator, -1
         self._done[index] = False
+        self._running = True
+
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """Random generator of each row, as in `SyncVectorEnv`."""
+        self._make_generators([None] * self.num_envs)
+        return tuple(self._generators)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """Seed of each row, or -1 if it is not known because `set_state` changed the generator."""
+        self._make_generators([None] * self.num_envs)
+        return tuple(self._seeds)
+
+    def _make_generators(self, seeds: Sequence[int | None]) -> None:
+        """Make the generators, unless they exist already."""
+        if not self._generators:
+            made = [np_random(seed) for seed in seeds]
+            self._generators, self._seeds = [g for g, _ in made], [seed for _, seed in made]
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the arguments and the state, for `copy.deepcopy` and pickle."""
-        state = (self.get_state(), self._done, self._observations) if self._generators else None
-        return {**EzPickle.__getstate__(self), "state": state}
+        state = (self.get_state(), self._done, self._observations) if self._running else None
+        return {**EzPickle.__getstate__(self), "spec": self._spec, "state": state}
 
     def __setstate__(self, data: dict[str, Any]) -> None:
         EzPickle.__setstate__(self, data)
+        self._spec = data["spec"]
         if data["state"] is not None:
             state, done, observations = data["state"]
             self.set_state(state)
@@ -178,11 +200,14 @@ class CaterpillarVectorEnv(
                 f"reset_mask must be a bool array of shape ({self.num_envs},) with at least one True; "
                 f"got {show(given_mask)}"
             )
+        if not self._running and not mask.all():
+            raise CaterpillarError("call reset() without reset_mask first, to start all rows")
         rows, bodies = np.flatnonzero(mask), None
         if "morphology" in chosen:
             given = read_morphologies(chosen["morphology"], self.num_envs)
             bodies = [given[row] for row in rows]
         self._seed(seed, mask)
+        self._running = True
         info: dict[str, Any] = {}
         self._start(rows, info, bodies)
         return self._observations.copy(), info
@@ -198,17 +223,16 @@ class CaterpillarVectorEnv(
                 f"seed must be an integer or a list of {self.num_envs} integers; got {show(seed)}"
             )
         seeds = [None if s is None else check_number("seed", s, 0, whole=True) for s in seeds]
-        if not self._generators:
-            self._generators = [np_random(s)[0] for s in seeds]
+        self._make_generators(seeds)
         for row in np.flatnonzero(mask):
             if seeds[row] is not None:
-                self._generators[row] = np_random(seeds[row])[0]
+                self._generators[row], self._seeds[row] = np_random(seeds[row])
 
     def step(
         self, actions: Any
     ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Advance all rows by one step. Rows whose episode has ended follow `autoreset_mode`."""
-        if not self._generators:
+        if not self._running:
             raise CaterpillarError("call reset() before step()")
         actions = self._episodes.check_actions(actions, self.num_envs)
         if self._mode is AutoresetMode.DISABLED and self._done.any():

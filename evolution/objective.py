@@ -14,6 +14,9 @@ from caterpillar_env.physics import CONTROL_INTERVAL_S
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import EPISODE_S, Failure
 
+#: Minimum energy in `distance_per_energy`, J. Two pairs of springs that are heated once per period need
+#: about 10 J in 30 s.
+LEAST_ENERGY_J = 10.0
 ObjectiveName = Literal["distance", "distance-per-energy"]
 #: Takes the outcomes of P robots and returns P numbers, shape (P,). Higher is better.
 Objective = Callable[[Outcomes], Array]
@@ -25,9 +28,12 @@ def distance(outcomes: Outcomes) -> Array:
 
 
 def distance_per_energy(outcomes: Outcomes) -> Array:
-    """Return the distance crawled forwards per electrical energy in m/J, (P,)."""
-    energy_j = outcomes.energy_j
-    return np.divide(distance(outcomes), energy_j, out=np.zeros_like(energy_j), where=energy_j > 0)
+    """Return the distance crawled forwards per electrical energy in m/J, (P,).
+
+    The energy counts as at least `LEAST_ENERGY_J`. Otherwise, a robot that only settles by a few
+    millimetres with almost no power would score higher than a robot that crawls.
+    """
+    return distance(outcomes) / np.maximum(outcomes.energy_j, LEAST_ENERGY_J)
 
 
 OBJECTIVES: dict[ObjectiveName, Objective] = {

@@ -74,7 +74,7 @@ def fields_of(robot: Robot, timing: Timing = "on-off") -> list[Field]:
     fields = []
     for index, value in enumerate(read_values(robot, timing).tolist()):
         folder, gene = rows[index]
-        # A robot may be outside the bounds, with a duty of 100 % for example.
+        # A robot may be outside the bounds, with friction 2 for example.
         gene = gene._replace(lower=min(gene.lower, value), upper=max(gene.upper, value))
         fields.append(Field(index, folder, gene, timing))
     return fields

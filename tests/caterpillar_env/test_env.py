@@ -300,6 +300,15 @@ def test_invalid_body_does_not_replace_the_old_one():
     assert env.morphology == SMALL
 
 
+def test_noise_at_reset_stays_within_the_stops():
+    env = CaterpillarEnv(reset_noise_scale=1.0)
+    env.reset(seed=0)
+    low, high = env.model.jnt_range[1:].T
+    positions = env.data.qpos[7:]
+    assert ((low <= positions) & (positions <= high)).all()
+    assert (np.isclose(positions, low) | np.isclose(positions, high)).any()
+
+
 def test_pickled_environment_gives_the_same_results():
     env = timing_env(morphology=SMALL.to_dict(), reset_noise_scale=0.01)
     twin = pickle.loads(pickle.dumps(env))

@@ -84,6 +84,30 @@ def test_copy_made_before_a_reset_needs_a_reset():
         branch.step(draw_actions(1)[0])
 
 
+def test_copies_keep_the_generator_and_the_spec():
+    env = gymnasium.make("CaterpillarSMA-v0", **SETTINGS).unwrapped
+    env.reset(seed=3)
+    branch = copy.deepcopy(env)
+    assert branch.np_random_seed == -1  # not known
+    assert branch.spec.max_episode_steps == env.spec.max_episode_steps
+    np.testing.assert_array_equal(branch.reset()[0], env.reset()[0])
+    env.np_random = np.random.Generator(np.random.MT19937(0))
+    branch = copy.deepcopy(env)
+    np.testing.assert_array_equal(branch.reset()[0], env.reset()[0])
+
+
+def test_rows_have_their_own_generators_and_seeds():
+    envs = gymnasium.make_vec("CaterpillarSMA-v0", num_envs=2, **SETTINGS).unwrapped
+    assert len(set(envs.np_random_seed)) == 2
+    envs.reset(seed=5)
+    assert envs.np_random_seed == (5, 6)
+    single = gymnasium.make("CaterpillarSMA-v0", **SETTINGS).unwrapped
+    single.reset(seed=6)
+    assert envs.np_random[1].random() == single.np_random.random()
+    envs.set_state(single.get_state(), np.array([0]))
+    assert envs.np_random_seed == (-1, 6)
+
+
 def test_state_of_one_robot_fills_the_rows_of_a_vector(env):
     envs = CaterpillarVectorEnv(3, threads=1, **SETTINGS)
     envs.reset(seed=0)

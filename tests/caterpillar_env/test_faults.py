@@ -112,6 +112,19 @@ def test_errors_name_the_field(value, message):
         gymnasium.make(SWITCH, faults=value)
 
 
+def test_state_carries_faults_to_an_environment_without_faults():
+    env, model = gymnasium.make(SWITCH, faults=4), gymnasium.make(SWITCH)
+    env.reset(seed=1)
+    model.reset(seed=2)
+    model.unwrapped.set_state(env.unwrapped.get_state())
+    *_, info = env.step(ON)
+    *_, predicted = model.step(ON)
+    assert predicted["energy_j"] == info["energy_j"]
+    model.reset()
+    *_, healthy = model.step(ON)
+    assert healthy["energy_j"] == pytest.approx(12 / 8 * info["energy_j"])
+
+
 def test_faults_accept_a_number_of_springs():
     assert Faults.of(3) == Faults(springs=3) == Faults.of({"springs": 3})
     assert Faults.of(None) is None

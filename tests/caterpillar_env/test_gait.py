@@ -178,6 +178,11 @@ def test_phases_of_a_gait_give_the_same_gait(springs):
     assert found_duty == pytest.approx(duty, abs=1e-12)
 
 
+def test_spring_that_is_always_powered_gets_the_largest_duty():
+    always = GaitTimings(5.0, np.array([0.0, 1.0]), np.array([5.0, 1.0]))
+    assert always.to_phases()[1].tolist() == [MAX_DUTY, 0.0]
+
+
 def test_delays_count_from_the_gap_ahead_and_from_the_dorsal_pair():
     gait = GaitTimings.from_phases(np.array([0.1, 0.5, 0.2, 0.9]), np.full(4, 0.25), 10.0)
     assert gait.on_s == pytest.approx([1.0, 6.0, 3.0, 2.0])

@@ -116,6 +116,12 @@ def test_a_damaged_file_gives_the_same_robot_or_an_error(individual, tmp_path):
     assert Robot.load(file).fitness_m == 0.5
 
 
+def test_robots_can_be_members_of_sets(individual):
+    other = individual.with_physics(friction=0.5)
+    assert individual in {individual, other}
+    assert [individual, other].index(other) == 1
+
+
 def test_json_names_units_and_pairs(individual):
     data = individual.to_dict()
     assert data["format"] == FORMAT

@@ -49,6 +49,19 @@ def overturn(envs, row):
 # Rows
 
 
+def test_first_reset_starts_all_rows():
+    envs, mask = CaterpillarVectorEnv(2), np.array([True, False])
+    with pytest.raises(CaterpillarError, match=r"call reset\(\) without reset_mask first"):
+        envs.reset(options={"reset_mask": mask})
+    envs.reset()
+    envs.reset(options={"reset_mask": mask})
+
+
+def test_length_of_an_episode_includes_the_maximum_number_of_steps():
+    envs = CaterpillarVectorEnv(1, max_episode_steps=3)
+    assert envs.episode_s == 15.0
+
+
 @pytest.mark.parametrize("mode", ["timing", "switch"])
 def test_row_equals_the_single_environment_with_its_seed(mode):
     kwargs = {"action_mode": mode, "action_repeat": 5, "gait_period_s": 1.0, "reset_noise_scale": 0.02}

@@ -225,7 +225,9 @@ class Told(LocalEvaluator):
 def test_targets_ignore_failed_robots_and_the_objective(tmp_path):
     failure = np.array([Failure.VEERED, 0, 0], dtype=np.int8)
     # The first robot veered beyond the target. The second is the best, and the third gets farthest.
-    outcomes = Outcomes(failure, np.array([0.9, 0.1, 0.2]), np.array([1.0, 1.0, 9.0]), np.full(3, 30.0))
+    outcomes = Outcomes(
+        failure, np.array([0.9, 0.1, 0.2]), np.array([10.0, 10.0, 90.0]), np.full(3, 30.0)
+    )
     ga = GaConfig(population=3, hall_of_fame=0)
     asked = RunConfig(generations=2, objective="distance-per-energy", physics=SHORT, ga=ga)
     for target_m, expected in ((0.2, 1), (0.21, 2)):
