@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -161,13 +162,15 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
     def __getstate__(self) -> dict[str, Any]:
         """Return the arguments and the state, for `copy.deepcopy` and pickle."""
         state = self.get_state() if self._running else None
-        return {**EzPickle.__getstate__(self), "spec": self._spec, "state": state}
+        random = copy.deepcopy((self._np_random, self._np_random_seed))
+        return {**EzPickle.__getstate__(self), "spec": self._spec, "random": random, "state": state}
 
     def __setstate__(self, data: dict[str, Any]) -> None:
         EzPickle.__setstate__(self, data)
         self._spec = data["spec"]
         if data["state"] is not None:
             self.set_state(data["state"])
+        self._np_random, self._np_random_seed = data["random"]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

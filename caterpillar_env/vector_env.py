@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -140,9 +141,12 @@ class CaterpillarVectorEnv(
             rows: indices of the robots to change, (R,); all by default.
 
         Raises:
-            CaterpillarError: the state has another number of robots or segments.
+            CaterpillarError: the state has another number of robots or segments, or some rows have
+                neither been reset nor get a state.
         """
         index = self.crawl.simulation.indices(rows)
+        if not self._running and len(np.unique(index)) < self.num_envs:
+            raise CaterpillarError("call reset() before set_state(), or set the state of all rows")
         self._observations[index] = self._episodes.set_state(state, index)
         self._make_generators([None] * self.num_envs)
         for row, known in zip(index, state.generators, strict=True):
@@ -172,7 +176,8 @@ class CaterpillarVectorEnv(
     def __getstate__(self) -> dict[str, Any]:
         """Return the arguments and the state, for `copy.deepcopy` and pickle."""
         state = (self.get_state(), self._done, self._observations) if self._running else None
-        return {**EzPickle.__getstate__(self), "spec": self._spec, "state": state}
+        random = copy.deepcopy((self._generators, self._seeds))
+        return {**EzPickle.__getstate__(self), "spec": self._spec, "random": random, "state": state}
 
     def __setstate__(self, data: dict[str, Any]) -> None:
         EzPickle.__setstate__(self, data)
@@ -181,6 +186,7 @@ class CaterpillarVectorEnv(
             state, done, observations = data["state"]
             self.set_state(state)
             self._done, self._observations = done.copy(), observations.copy()
+        self._generators, self._seeds = data["random"]
 
     def reset(
         self,

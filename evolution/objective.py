@@ -14,8 +14,8 @@ from caterpillar_env.physics import CONTROL_INTERVAL_S
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import EPISODE_S, Failure
 
-#: Minimum energy in `distance_per_energy`, J. Two pairs of springs that are heated once per period need
-#: about 10 J in 30 s.
+#: Minimum energy in `distance_per_energy`, J. In 30 s, a single pair of springs needs about 11 J to
+#: contract fully once per gait period.
 LEAST_ENERGY_J = 10.0
 ObjectiveName = Literal["distance", "distance-per-energy"]
 #: Takes the outcomes of P robots and returns P numbers, shape (P,). Higher is better.

@@ -89,7 +89,9 @@ def follow(run: Callable[..., Training], config: TrainConfig, video: bool) -> in
         console.print(f"stopped; continue with: caterpillar rl resume {shlex.quote(str(folder))}")
         return 130
     if len({evaluation.distance_m for evaluation in history.evaluations}) == 1:
-        console.print("the policy has not changed: choose a larger --budget-s, so that it is updated")
+        console.print(
+            "all evaluations have the same distance: with a larger --budget-s, the policy may change"
+        )
     if history.best is None:
         print(f"no policy crawled forwards without failing, in {folder}")
         return 0

@@ -41,9 +41,9 @@ def is_in_use(folder: Path) -> bool:
     return False
 
 
-def lock(folder: Path) -> IO[bytes]:
-    """Lock a folder until the file is closed or the process ends."""
-    with explain_errors(folder / ".lock"), ExitStack() as stack:
+def lock(folder: Path, advice: str = "") -> IO[bytes]:
+    """Lock a folder until the file is closed or the process ends. For `advice`, see `explain_errors`."""
+    with explain_errors(folder / ".lock", advice=advice), ExitStack() as stack:
         file = stack.enter_context(_open_lock(folder, os.O_RDWR | os.O_CREAT))
         for _ in range(_LOCK_ATTEMPTS):  # retry, because `is_in_use` may hold the lock briefly
             try:

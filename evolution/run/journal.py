@@ -133,8 +133,11 @@ class Journal:
         """
         path = folder / FILE
         partial = path.with_name(f".{FILE}.partial")
-        advice = "Nothing was recorded; start the run again in a folder with enough disk space"
-        with explain_errors(path, advice=advice), closing(lock(folder)):
+        advice = (
+            "Nothing was recorded; start the run again in a folder on a file system with locks and with "
+            "enough disk space"
+        )
+        with explain_errors(path, advice=advice), closing(lock(folder, advice)):
             if path.exists():
                 raise JournalError(f"{path} exists already; resume that run, or choose another folder")
             partial.unlink(missing_ok=True)

@@ -232,7 +232,12 @@ def begin(config: StudyConfig, folder: Path) -> None:
             for arm in before.arms
             if arm in config.arms and config.reference_of(arm) != before.reference_of(arm)
         ]
-        changed += [f"arms.{a}" for a, arm in before.arms.items() if config.arms.get(a) != arm]
+        changed += [f"arms.{a}" for a, arm in before.arms.items() if config.arms.get(a, arm) != arm]
+        if lost := before.arms.keys() - config.arms.keys():
+            raise CaterpillarError(
+                f"{folder} holds a study with more arms: add arms.{', arms.'.join(sorted(lost))} again, "
+                "or choose another folder with --out"
+            )
         if changed:
             raise CaterpillarError(
                 f"{folder} holds a study that differs in {', '.join(changed)}, so its runs are not "

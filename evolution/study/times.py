@@ -67,7 +67,8 @@ class Times(NamedTuple):
     median_generations: Estimate | None  #: the same in generations; None if not comparable
     #: Speed-up in generations, as in the paper: the number of generations that defines the threshold,
     #: divided by the number after which the arm's median run reaches it. 0 if fewer than half of the
-    #: runs reach it; None for a reference or a fixed threshold.
+    #: runs reach it; None for a reference, a fixed threshold, or another algorithm than that of the
+    #: reference of the study.
     acceleration: Estimate | None
     running_time_s: Estimate  #: expected running time (ERT) within the study's `budget_s`
     speed_up: Estimate | None  #: ratio of ERTs, reference to arm; None for a reference

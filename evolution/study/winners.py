@@ -17,7 +17,6 @@ from caterpillar_env.sma import SmaSpring
 from caterpillar_env.task import Failure
 from caterpillar_env.validation.gaits import Gait, measure_gait
 from evolution.run.database import JournalError
-from evolution.run.history import History
 from evolution.study.analysis import Analysis
 from evolution.study.arms import Arm
 from evolution.study.config import Cell, StudyConfig
@@ -220,8 +219,10 @@ def load_winner(config: StudyConfig, folder: Path, arm: str, run: Run) -> AnyRob
         return robot
     if not config.arms[arm].restorable:
         return config.arms[arm].robot(run_folder, number) if has_run else None
-    if _has_evaluation(run_folder, number):
+    try:
         return config.arms[arm].robot(run_folder, number)
+    except (JournalError, IndexError):  # the run folder is missing, or older than the study's table
+        pass
     with tempfile.TemporaryDirectory() as scratch:
         rows = read_kept(folder)[cell]
         config.arms[arm].restore(rows, Path(scratch, "run"), run.seed, config.budget_of(cell))
@@ -246,14 +247,6 @@ def _load_saved(arm: Arm, file: Path, best_m: float, *, strict: bool = False) ->
             raise
         return None
     return robot if robot.fitness_m == best_m else None
-
-
-def _has_evaluation(folder: Path, number: int) -> bool:
-    """Return whether the journal of a run has an evaluation. It may be older than the study's table."""
-    try:
-        return len(History.read(folder).evaluations) > number
-    except JournalError:
-        return False
 
 
 def _describe(distance_m: float, failure: int) -> dict[str, Any]:

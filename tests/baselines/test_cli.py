@@ -34,7 +34,7 @@ def folder(tmp_path_factory):
 def test_train_reports_a_budget_that_ends_before_the_first_update(tmp_path, capsys):
     flags = [*SMALL, "--budget-s", "150", "--no-video", "--out", str(tmp_path / "run")]
     assert cli.main(["rl", "train", *flags]) == 0
-    assert "the policy has not changed: choose a larger --budget-s" in capsys.readouterr().err
+    assert "all evaluations have the same distance: with a larger --budget-s" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -88,11 +88,15 @@ def test_copies_keep_the_generator_and_the_spec():
     env = gymnasium.make("CaterpillarSMA-v0", **SETTINGS).unwrapped
     env.reset(seed=3)
     branch = copy.deepcopy(env)
-    assert branch.np_random_seed == -1  # not known
+    assert branch.np_random_seed == 3
     assert branch.spec.max_episode_steps == env.spec.max_episode_steps
     np.testing.assert_array_equal(branch.reset()[0], env.reset()[0])
     env.np_random = np.random.Generator(np.random.MT19937(0))
     branch = copy.deepcopy(env)
+    np.testing.assert_array_equal(branch.reset()[0], env.reset()[0])
+    env = CaterpillarEnv(**SETTINGS)
+    env.np_random = np.random.default_rng(5)
+    branch = copy.deepcopy(env)  # before the first reset
     np.testing.assert_array_equal(branch.reset()[0], env.reset()[0])
 
 
@@ -104,8 +108,17 @@ def test_rows_have_their_own_generators_and_seeds():
     single = gymnasium.make("CaterpillarSMA-v0", **SETTINGS).unwrapped
     single.reset(seed=6)
     assert envs.np_random[1].random() == single.np_random.random()
+    assert copy.deepcopy(envs).np_random_seed == (5, 6)
     envs.set_state(single.get_state(), np.array([0]))
     assert envs.np_random_seed == (-1, 6)
+
+
+def test_first_state_covers_all_rows(env):
+    envs = CaterpillarVectorEnv(2, threads=1, **SETTINGS)
+    with pytest.raises(CaterpillarError, match="or set the state of all rows"):
+        envs.set_state(env.get_state(), np.array([1]))
+    envs.set_state(env.get_state().rows([0, 0]))
+    envs.step(draw_actions(2))
 
 
 def test_state_of_one_robot_fills_the_rows_of_a_vector(env):

@@ -149,7 +149,10 @@ def test_arms_and_seeds_can_be_added_to_a_study(tmp_path):
         ({"references": {"ga-uniform": "cma-es"}}, "a study that differs in references.ga-uniform"),
         ({"generations": [1]}, "a study that differs in generations"),
         ({"arms": {**SMALL["arms"], "cma-es": {"optimizer": "random"}}}, "that differs in arms.cma-es"),
-        ({"arms": {"ga-uniform": SMALL["arms"]["ga-uniform"]}}, "that differs in arms.cma-es"),
+        (
+            {"arms": {"ga-uniform": SMALL["arms"]["ga-uniform"]}},
+            "a study with more arms: add arms.cma-es again",
+        ),
     ],
     ids=str,
 )
