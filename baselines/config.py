@@ -28,6 +28,8 @@ ENVIRONMENTS: dict[ActionMode, str] = {
 }  # fmt: skip
 POPULATION = 8  #: number of bodies that CMA-ES proposes per generation
 ROBOTS_PER_BODY = 2  #: number of robots with each of these bodies
+#: Hyperparameters that only matter if an episode has several steps.
+_DISCOUNTED = ("gamma", "gae_lambda", "tau", "target_policy_noise", "target_noise_clip")
 HYPERPARAMETERS = Path(__file__).with_name("hyperparams")
 # Bounds of overridden values. Other floats are in [0, 1]; other integers are at least 1, or 0 if the
 # default is 0.
@@ -91,8 +93,9 @@ class TrainConfig:
 
     def _check_overrides(self) -> None:
         names = [entry.partition("=")[0] for entry in self.override]
+        bandit = "open_loop" if self.open_loop else ""  # its episodes are single steps
         without_effect = {
-            "gamma": "open_loop" if self.open_loop else "",
+            **dict.fromkeys(_DISCOUNTED, bandit),
             "n_envs": "design" if self.design != "fixed" else "",
             "n_steps": "design" if self.design != "fixed" else "",
             "interface.reach": "prior uniform" if self.prior == "uniform" else "",
@@ -182,6 +185,11 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
     env_kwargs, callback = model.pop("env_kwargs", {}), model.pop("callback", [])
     ((_, interface),) = model.pop("vec_env_wrapper")[0].items()
     interface |= {"mode": config.mode, "prior": config.prior}
+    if config.open_loop:
+        env_kwargs["action_repeat"] = _PERIODS_PER_EPISODE
+        model["gamma"] = 0.0  # an episode is a single step
+        if "n_steps" in model:  # keep the number of episodes
+            model["n_steps"] = max(model["n_steps"] // _PERIODS_PER_EPISODE, 1)
     for entry in config.override:
         _override(model, interface, entry)
     n_envs = model.pop("n_envs", 1)
@@ -189,13 +197,12 @@ def hyperparameters(config: TrainConfig) -> Hyperparameters:
         callback = []  # the callbacks make a policy begin with the gait of the prior
     if config.design != "fixed":
         n_envs = POPULATION * ROBOTS_PER_BODY
-    if config.open_loop:
-        env_kwargs["action_repeat"] = _PERIODS_PER_EPISODE
-        model["gamma"] = 0.0  # an episode is a single step
-        if "n_steps" in model:  # keep the number of episodes
-            model["n_steps"] = max(model["n_steps"] // _PERIODS_PER_EPISODE, 1)
-            # PPO warns of mini-batches that are larger than a rollout.
-            model["batch_size"] = min(model["batch_size"], model["n_steps"] * n_envs)
+    if "n_steps" in model:
+        rollout = model["n_steps"] * n_envs
+        if rollout < 2:
+            raise CaterpillarError("a rollout of n_steps * n_envs = 1 is too short; choose 2 or more")
+        # PPO warns of mini-batches that are larger than a rollout.
+        model["batch_size"] = min(model["batch_size"], rollout)
     return Hyperparameters(n_envs, env_kwargs, interface, callback, model)
 
 

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import stable_baselines3
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3 import PPO, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.vec_env import VecMonitor, unwrap_vec_wrapper
@@ -37,7 +37,6 @@ from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import OnInterval
 
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "td3": TD3}
 Which = Literal["best", "last"]
 FORMAT = "caterpillar-policy-1"  #: format of a robot with a policy, in JSON
 _LARGEST_WEIGHT = 1e9  # so that actions are finite
@@ -66,7 +65,8 @@ def make_model(config: TrainConfig, robots: CaterpillarVecEnv) -> BaseAlgorithm:
     if arguments.pop("noise_type", None):
         deviation = np.full(env.action_space.shape or (), arguments.pop("noise_std"))
         arguments["action_noise"] = NormalActionNoise(np.zeros_like(deviation), deviation)
-    return ALGORITHMS[config.algorithm](env=env, seed=config.seed, device="cpu", verbose=0, **arguments)
+    algorithm: type[BaseAlgorithm] = getattr(stable_baselines3, config.algorithm.upper())
+    return algorithm(env=env, seed=config.seed, device="cpu", verbose=0, **arguments)
 
 
 class RandomActor:

@@ -75,6 +75,15 @@ class RunConfig:
                 f"prior_use = {self.prior_use!r} needs the genetic algorithm; with {self.optimizer}, "
                 "prior_use must be 'both'"
             )
+        if self.optimizer != "random" and self.sampling != "independent":
+            raise CaterpillarError(
+                f"sampling = {self.sampling!r} needs random search; with {self.optimizer}, sampling "
+                "must be 'independent'"
+            )
+        if self.prior == "uniform" and self.prior_control != "none":
+            raise CaterpillarError(
+                f"prior_control = {self.prior_control!r} needs another prior than 'uniform'"
+            )
         check_floor_ratio(self.floor_ratio)
         if not 0 < self.race_share <= 1:
             raise CaterpillarError(f"race_share = {self.race_share} must lie in (0, 1]")

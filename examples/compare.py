@@ -7,7 +7,7 @@ from caterpillar_env import Physics
 from evolution import CmaConfig, GaConfig, RunConfig, evolve
 
 SEEDS = (0, 1)
-SMALL = Physics(num_segments=2)  # quick to simulate, but a poor crawler
+SMALL = Physics(num_segments=2, timestep_s=0.005)  # quick to simulate, but a poor crawler
 
 folder = Path(tempfile.mkdtemp(prefix="caterpillar-"))
 print(f"{'optimizer':10}" + "".join(f"{'seed ' + str(seed):>12}" for seed in SEEDS))
@@ -17,7 +17,7 @@ for name in ("ga", "cma-es", "random"):
         config = RunConfig(
             seed=seed,
             optimizer=name,
-            budget_s=100,
+            budget_s=500,
             ga=GaConfig(population=5),
             cma=CmaConfig(cma_population=5),
             physics=SMALL,

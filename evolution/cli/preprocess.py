@@ -40,7 +40,8 @@ class PreprocessArgs:
     prior: Prior = "body"
     """Genes with a distribution from the preprocessor. body: as in the paper."""
     control: Control = "none"
-    """Deliberately misleading prior. mirrored: peaks reflected; shuffled: distributions permuted."""
+    """Deliberately misleading prior. mirrored: peaks reflected; shuffled: distributions permuted,
+    as in a run with the seed 0."""
     contradictions: Contradictions = "uniform"
     """Prior of a gene on which two design parameters disagree. product: a Gaussian with its peak where
     the product of the design parameters is largest."""

@@ -124,10 +124,12 @@ def _compare(recording: Recording) -> dict[str, Any]:
 
 def _describe(comparison: dict[str, Any]) -> str:
     fitness_m, recorded_m = comparison["fitness_m"], comparison["recorded_fitness_m"]
-    if not recorded_m:
+    if recorded_m is None:
         verdict = "no recorded fitness to compare with"
     elif comparison["identical"]:
         verdict = "identical to the record"
+    elif not recorded_m:
+        verdict = "different from the recorded 0.0 m"
     else:
         change = 100 * (fitness_m / recorded_m - 1)
         verdict = f"{change:+.1f} % relative to the recorded {recorded_m!r} m"

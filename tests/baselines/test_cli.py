@@ -50,14 +50,16 @@ def test_train_reports_progress_and_writes_a_video(tmp_path, capsys, monkeypatch
     assert video.is_video_of(tmp_path / "run" / "best.mp4", TrainedRobot.load(tmp_path / "run"))
 
 
-def test_train_uses_the_body_of_an_evolved_robot(tmp_path):
+def test_train_uses_the_body_of_an_evolved_robot(tmp_path, capsys):
     run = tmp_path / "ga"
     small = ["--num-segments", "2", "--timestep-s", "0.01"]
     flags = ["--population", "3", "--hall-of-fame", "1", "--generations", "1", "--no-video"]
     assert cli.main(["evolve", *small, *flags, "--out", str(run)]) == 0
     body = json.loads((run / "best.json").read_text())["morphology"]
-    flags = [*SMALL, "--budget-s", "150", "--no-video", "--out", str(tmp_path / "rl")]
+    flags = [*SMALL, "--friction", "0.5", "--budget-s", "150", "--no-video"]
+    flags += ["--out", str(tmp_path / "rl")]
     assert cli.main(["rl", "train", *flags, "--body", str(run)]) == 0
+    assert "was evolved with friction = 0.8; training uses 0.5" in capsys.readouterr().err
     training = Training.read(tmp_path / "rl")
     assert training.config.morphology.to_dict() == body
     assert training.body(training.history.evaluations[0]).to_dict() == body

@@ -143,6 +143,7 @@ def test_overrides_replace_single_hyperparameters():
         ({"mode": "switch"}, "interface.action_repeat=1", "must be NAME=VALUE"),
         ({"algorithm": "td3"}, "noise_std=-1", "override noise_std = -1 must be"),
         ({"open_loop": True}, "gamma=0.9", "override of gamma has no effect with open_loop"),
+        ({"open_loop": True, "algorithm": "td3"}, "tau=0.5", "override of tau has no effect"),
         ({"design": "body"}, "n_envs=8", "override of n_envs has no effect with design"),
         ({"prior": "uniform"}, "interface.reach=0.2", "has no effect with prior uniform"),
     ],
@@ -158,8 +159,16 @@ def test_repeated_override_is_rejected():
         TrainConfig(override=("gamma=0.9", "gamma=0.5"))
 
 
-def test_bandit_has_at_least_one_step_per_rollout():
-    assert hyperparameters(TrainConfig(open_loop=True, override=("n_steps=3",))).model["n_steps"] == 1
+def test_overrides_of_a_bandit_apply_literally():
+    model = hyperparameters(TrainConfig(open_loop=True, override=("n_steps=3", "batch_size=32"))).model
+    assert (model["n_steps"], model["batch_size"]) == (3, 32)
+
+
+def test_batch_is_at_most_a_rollout():
+    model = hyperparameters(TrainConfig(override=("n_envs=2", "n_steps=3"))).model
+    assert model["batch_size"] == 6
+    with pytest.raises(CaterpillarError, match=r"a rollout of n_steps \* n_envs = 1 is too short"):
+        TrainConfig(override=("n_envs=1", "n_steps=1"))
 
 
 def test_journal_of_an_earlier_version_matches_the_same_config():

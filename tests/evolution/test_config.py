@@ -115,6 +115,8 @@ def test_configuration_round_trips_through_json():
         ({"objective": "speed"}, "objective = 'speed'"),
         ({"clipping": "cut"}, "clipping = 'cut'"),
         ({"sampling": "grid"}, "sampling = 'grid'"),
+        ({"sampling": "sobol", "optimizer": "shade"}, "sampling = 'sobol' needs random search"),
+        ({"prior": "uniform", "prior_control": "mirrored"}, "needs another prior than 'uniform'"),
         ({"generations": 0}, "generations = 0"),
         *(
             ({"target_m": value}, f"target_m = {value!r} must be a positive number")

@@ -10,6 +10,7 @@ from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.robot import Robot
 from evolution import cli
+from evolution.cli import replay
 from evolution.config import RunConfig
 from evolution.optimizers.ga import GaConfig
 from evolution.run.evaluators import LocalEvaluator
@@ -168,3 +169,18 @@ def test_errors_name_the_wrong_input(arguments, hint, still, here, capsys):
     assert hint in captured
     assert "Traceback" not in captured
     assert [p.name for p in here.iterdir()] == ["still.json"]
+
+
+@pytest.mark.parametrize(
+    ("fitness_m", "recorded_m", "verdict"),
+    [
+        (0.0, 0.0, "identical to the record"),
+        (0.1, 0.0, "different from the recorded 0.0 m"),
+        (0.1, None, "no recorded fitness to compare with"),
+        (0.11, 0.1, "+10.0 % relative to the recorded 0.1 m"),
+    ],
+)
+def test_verdict_names_the_record(fitness_m, recorded_m, verdict):
+    ends = {"failure": "ok", "energy_j": 1.0, "identical": fitness_m == recorded_m}
+    comparison = {"fitness_m": fitness_m, "recorded_fitness_m": recorded_m, **ends}
+    assert replay._describe(comparison).endswith(verdict)
