@@ -199,7 +199,7 @@ def test_best_policy_is_the_best_of_the_history(tmp_path, monkeypatch):
 def test_there_is_no_best_policy_if_all_fail(tmp_path, monkeypatch):
     monkeypatch.setattr(Policy, "crawl", lambda *_args, **_more: outcome(0.5, Failure.TIPPED))
     assert train(config(), tmp_path / "run").history.best is None
-    assert TrainedRobot.load(tmp_path / "run", "last").fitness_m == 0.5
+    assert TrainedRobot.load(tmp_path / "run", "last").fitness_m == 0.0
     with pytest.raises(CaterpillarError, match="contains no best policy: no policy crawled"):
         TrainedRobot.load(tmp_path / "run")
 
