@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from caterpillar_env import Failure, Morphology, Physics, SmaSpring, simulate
-from caterpillar_env.gait import GaitTimings
+from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
 from caterpillar_env.model import ModelBuilder
 from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.sma import SmaState, advance
@@ -71,6 +71,12 @@ def test_delays_and_duties_give_the_same_gait(page):
         np.testing.assert_allclose([phases["delay"], phases["duty"]], expected, atol=1e-12)
         times = call(page, "fromPhases", phases)
         np.testing.assert_allclose([times["onS"], times["offS"]], [on_s, off_s], atol=1e-12)
+
+
+def test_pair_that_is_always_powered_gets_the_largest_duty(page):
+    always = GaitTimings(GAIT_PERIOD_S, np.zeros(6), np.full(6, GAIT_PERIOD_S))
+    phases = call(page, "toPhases", always.on_s.tolist(), always.off_s.tolist())
+    np.testing.assert_array_equal(phases["duty"], always.to_phases()[1])
 
 
 def test_wave_genomes_give_the_same_robot(page):

@@ -23,12 +23,14 @@ export function fromPhases({ delay, duty }: Phases): { onS: number[]; offS: numb
   };
 }
 
-/** Return the phases of pairs from their times. */
+/** Return the phases of pairs from their times. A pair that is always powered gets the largest duty. */
 export function toPhases(onS: number[], offS: number[]): Phases {
   const on = onS.map((time) => time / period);
   return {
     delay: on.map((share, pair) => wrap(share - (pair === 0 ? 0 : on[pair % 2 === 0 ? pair - 2 : pair - 1]))),
-    duty: onS.map((time, pair) => wrap((offS[pair] - time) / period)),
+    duty: onS.map((time, pair) =>
+      offS[pair] - time === period ? data.max_duty : wrap((offS[pair] - time) / period),
+    ),
   };
 }
 
