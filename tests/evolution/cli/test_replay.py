@@ -22,18 +22,12 @@ SMALL = ["--width", "128", "--height", "96", "--speed", "300"]
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
-def still(here):
+def still(elsewhere):
     """A robot that is never powered, with a made-up record."""
     timings = GaitTimings(RunConfig().gait_period_s, np.zeros(2), np.zeros(2))
     physics = Physics(num_segments=2, timestep_s=0.01)
     robot = Robot(Morphology(), timings, physics, fitness_m=0.02)
-    robot.save(here / "still.json")
+    robot.save(elsewhere / "still.json")
     return robot
 
 
@@ -60,28 +54,28 @@ def test_replay_prints_the_difference_from_the_record(still, capsys):
     assert "% relative to the recorded 0.02 m" in captured
 
 
-def test_replay_without_a_recorded_fitness_makes_no_comparison(still, here, capsys):
-    Robot(still.morphology, still.timings, still.physics).save(here / "still.json")
+def test_replay_without_a_recorded_fitness_makes_no_comparison(still, elsewhere, capsys):
+    Robot(still.morphology, still.timings, still.physics).save(elsewhere / "still.json")
     assert cli.main(["replay", "still.json", "--no-video", "--json"]) == 0
     captured = json.loads(capsys.readouterr().out)
     assert captured["recorded_fitness_m"] is None
     assert captured["identical"] is False
-    assert [p.name for p in here.iterdir()] == ["still.json"]
+    assert [p.name for p in elsewhere.iterdir()] == ["still.json"]
 
 
-def test_replay_writes_a_video_beside_the_record(still, here, capsys):
+def test_replay_writes_a_video_beside_the_record(still, elsewhere, capsys):
     assert cli.main(["replay", "still.json", *SMALL]) == 0
     assert "writing replay.mp4" in capsys.readouterr().err
-    assert sorted(p.name for p in here.iterdir()) == ["replay.mp4", "still.json"]
+    assert sorted(p.name for p in elsewhere.iterdir()) == ["replay.mp4", "still.json"]
 
 
 @pytest.mark.parametrize("camera", ["side", "top"])
-def test_video_uses_the_given_file_and_camera(still, here, camera):
+def test_video_uses_the_given_file_and_camera(still, elsewhere, camera):
     assert cli.main(["replay", "still.json", *SMALL, "--camera", camera, "--out", f"{camera}.gif"]) == 0
-    assert (here / f"{camera}.gif").read_bytes().startswith(b"GIF89a")
+    assert (elsewhere / f"{camera}.gif").read_bytes().startswith(b"GIF89a")
 
 
-def test_replay_compares_on_a_machine_that_cannot_draw(still, here, capsys, monkeypatch):
+def test_replay_compares_on_a_machine_that_cannot_draw(still, elsewhere, capsys, monkeypatch):
     monkeypatch.setattr(rendering, "unavailable", "no device")
     assert cli.main(["replay", "still.json", *SMALL]) == 0
     captured = capsys.readouterr()
@@ -91,26 +85,26 @@ def test_replay_compares_on_a_machine_that_cannot_draw(still, here, capsys, monk
     captured = capsys.readouterr()
     assert "recorded 0.02 m" in captured.out
     assert "replay: error: cannot draw (no device)" in captured.err
-    assert [p.name for p in here.iterdir()] == ["still.json"]
+    assert [p.name for p in elsewhere.iterdir()] == ["still.json"]
 
 
 # Several robots
 
 
 @pytest.mark.slow
-def test_several_robots_are_listed_by_name_and_shown_in_one_video(still, run, here, capsys):
+def test_several_robots_are_listed_by_name_and_shown_in_one_video(still, run, elsewhere, capsys):
     assert cli.main(["replay", "still.json", str(run), *SMALL]) == 0
     captured = capsys.readouterr()
     still_line, run_line = captured.out.splitlines()
     assert still_line.startswith("still: fitness ")
     assert run_line.startswith("run: fitness ")
     assert run_line.endswith("identical to the record")
-    assert sorted(p.name for p in here.iterdir()) == ["replay.mp4", "still.json"]
+    assert sorted(p.name for p in elsewhere.iterdir()) == ["replay.mp4", "still.json"]
 
 
-def test_robots_with_the_same_name_are_titled_by_their_paths(still, here, capsys):
-    (here / "other").mkdir()
-    still.save(here / "other" / "still.json")
+def test_robots_with_the_same_name_are_titled_by_their_paths(still, elsewhere, capsys):
+    (elsewhere / "other").mkdir()
+    still.save(elsewhere / "other" / "still.json")
     arguments = ["replay", "still.json", "other/still.json", "--no-video", "--json"]
     assert cli.main(arguments) == 0
     captured = json.loads(capsys.readouterr().out)
@@ -129,7 +123,7 @@ def test_film_shows_the_last_generation_instead_of_later_ones(run, capsys):
     (run / "film.mp4").unlink()
 
 
-def test_last_generation_shows_the_best_robot_of_the_run(run, here, capsys):
+def test_last_generation_shows_the_best_robot_of_the_run(run, elsewhere, capsys):
     arguments = ["replay", str(run), "--generations", "2", "--no-video", "--json"]
     assert cli.main(arguments) == 0
     captured = json.loads(capsys.readouterr().out)
@@ -137,7 +131,7 @@ def test_last_generation_shows_the_best_robot_of_the_run(run, here, capsys):
     best = Robot.load(run)
     assert captured["fitness_m"] == best.fitness_m
     near_m = float(np.nextafter(best.fitness_m, 1.0))
-    replace(best, fitness_m=near_m).save(here / "near.json")
+    replace(best, fitness_m=near_m).save(elsewhere / "near.json")
     assert cli.main(["replay", "near.json", "--no-video"]) == 0
     assert capsys.readouterr().out.rstrip().endswith(f"0.0 % relative to the recorded {near_m!r} m")
 
@@ -159,7 +153,7 @@ def test_last_generation_shows_the_best_robot_of_the_run(run, here, capsys):
         (["still.json", "--out", "nowhere/robot.mp4"], "cannot write nowhere/robot.mp4"),
     ],
 )
-def test_errors_name_the_wrong_input(arguments, hint, still, here, capsys):
+def test_errors_name_the_wrong_input(arguments, hint, still, elsewhere, capsys):
     try:
         status = cli.main(["replay", *arguments])
     except SystemExit as stop:
@@ -168,7 +162,7 @@ def test_errors_name_the_wrong_input(arguments, hint, still, here, capsys):
     assert status in (1, 2)
     assert hint in captured
     assert "Traceback" not in captured
-    assert [p.name for p in here.iterdir()] == ["still.json"]
+    assert [p.name for p in elsewhere.iterdir()] == ["still.json"]
 
 
 @pytest.mark.parametrize(
