@@ -48,10 +48,11 @@ def train_command(argv: Sequence[str]) -> int:
     if args.body is not None:
         robot = Robot.load(args.body)
         body, old, new = robot.morphology, robot.physics.to_dict(), config.physics.to_dict()
-        for name in (name for name in old if old[name] != new[name]):
-            cli.console().print(
-                f"warning: {args.body} was evolved with {name} = {old[name]}; training uses {new[name]}"
-            )
+        for name, value in old.items():
+            if value != new[name]:
+                cli.console().print(
+                    f"warning: {args.body} was evolved with {name} = {value}; training uses {new[name]}"
+                )
         if not isinstance(body, Morphology):
             raise CaterpillarError(
                 f"{args.body} has one body per segment, but a policy needs the same body for all "

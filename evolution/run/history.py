@@ -228,25 +228,28 @@ class History:
         """
         recorded, number = self._next_rows(), len(self.generations)
         is_complete = number < len(self._completions)
-        difference = None
+        differing = (
+            evaluation.number
+            for evaluation, genome in zip(recorded, genomes, strict=False)
+            if not np.array_equal(evaluation.genome, genome)
+        )
         if len(recorded) > len(genomes) or (is_complete and len(recorded) < len(genomes)):
             difference = (
                 f"generation {number} in {self._journal.path} has {len(recorded)} genomes, but the "
                 f"optimizer proposes {len(genomes)} genomes now"
             )
-        for evaluation, genome in zip(recorded, genomes, strict=False):
-            if difference is None and not np.array_equal(evaluation.genome, genome):
-                difference = (
-                    f"evaluation {evaluation.number} in {self._journal.path} has a different genome "
-                    "from the one that the optimizer proposes now"
-                )
-        if difference is not None:
-            raise CaterpillarError(
-                f"{difference}. The package, NumPy or your own optimizer has changed, or the journal "
-                "belongs to a different run. Install the package versions listed in the journal's table "
-                "`sessions`, or start a new run"
+        elif (first := next(differing, None)) is not None:
+            difference = (
+                f"evaluation {first} in {self._journal.path} has a different genome from the one that "
+                "the optimizer proposes now"
             )
-        return len(recorded)
+        else:
+            return len(recorded)
+        raise CaterpillarError(
+            f"{difference}. The package, NumPy or your own optimizer has changed, or the journal "
+            "belongs to a different run. Install the package versions listed in the journal's table "
+            "`sessions`, or start a new run"
+        )
 
     def append(self, genomes: Array, outcomes: Outcomes) -> None:
         """Record evaluations of the next generation: genomes (P, n) in [0, 1] and their outcomes."""

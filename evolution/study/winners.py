@@ -118,9 +118,7 @@ def retest_winners(analysis: Analysis, folder: Path, *, every_run: bool = False)
     rows: dict[_Key, _Row] = {(row["arm"], row["seed"], row["recorded_m"]): row for row in known}
     retest = Retest([], [], [])
     for arm, runs in analysis.runs.items():
-        found = {
-            (arm, run.seed, run.best_at(math.inf)): run for run in runs if run.best_at(math.inf) > 0
-        }
+        found = {(arm, run.seed, best_m): run for run in runs if (best_m := run.best_at(math.inf)) > 0}
         if not found:
             continue
         best = max(found, key=lambda key: key[2])
