@@ -191,6 +191,7 @@ def bar(console: Console) -> Progress:
     return Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.0f} %, time left"),
         TimeRemainingColumn(), console=console, disable=not console.is_terminal,
+        speed_estimate_period=300.0,  # seconds; the parts of a long run do not end at a steady rate
     )  # fmt: skip
 
 

@@ -168,6 +168,7 @@ def run_study(
                 run, budget_s = cell.folder(folder).resolve(), config.budget_of(cell)
                 task = (config.arms[cell.arm], run, cell.seed, budget_s, known.get(cell))
                 futures[pool.submit(workers.run, task, len(unfinished))] = cell
+            recorded_s = {cell: float(rows["simulated_s"].sum()) for cell, rows in known.items()}
             del known
             total_s = sum(config.budget_of(cell) for cell in cells)
             pending = set(futures)
@@ -179,7 +180,8 @@ def run_study(
                 if on_progress is not None:
                     left_s = 0.0
                     for cell in (futures[future] for future in pending):
-                        spent_s = read_simulated_s(cell.folder(folder))
+                        # A run from the table has no journal until its process has restored it.
+                        spent_s = max(read_simulated_s(cell.folder(folder)), recorded_s.get(cell, 0.0))
                         left_s += max(config.budget_of(cell) - spent_s, 0.0)
                     on_progress(len(cells) - len(pending), 1.0 - left_s / total_s)
         finally:

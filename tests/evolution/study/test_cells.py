@@ -117,12 +117,14 @@ class Waiting:
         self.reported.wait(timeout=20)
 
 
-def test_progress_counts_every_run_up_to_its_budget(tmp_path):
+@pytest.fixture
+def begun(tmp_path):
+    """A study whose runs have 9, 4 and 8 evaluations of 30 s. The budget of a run is 240 s."""
     config = StudyConfig.from_dict(
         changed(seeds=[2, 0, 1], arms={"ga-uniform": SMALL["arms"]["ga-uniform"]})
     )
-    arm, workers, reports = config.arms["ga-uniform"], Waiting(), []
-    for seed, evaluations in ((2, 9), (0, 4), (1, 8)):  # of 30 s each; the budget is 240 s
+    arm = config.arms["ga-uniform"]
+    for seed, evaluations in ((2, 9), (0, 4), (1, 8)):
         folder = Cell("ga-uniform", seed).folder(tmp_path)
         folder.mkdir(parents=True)
         with Journal.create(folder, arm.run_config(seed, config.budget_s).to_dict()) as journal:
@@ -131,17 +133,34 @@ def test_progress_counts_every_run_up_to_its_budget(tmp_path):
             genomes = np.full((evaluations, len(arm.config.encoding.genes)), 0.5)
             ends = np.full((3, evaluations), 30.0)
             history.append(genomes, Outcomes(np.zeros(evaluations, dtype=np.int8), *ends))
+            history.complete()
             if seed == 1:
-                history.complete()
                 history.finish()
+    return config
+
+
+def report_progress(config, folder):
+    workers, reports = Waiting(), []
 
     def report(ended, share):
         reports.append((ended, share))
         workers.reported.set()
 
-    run_study(config, tmp_path, workers, report)
-    assert reports[0] == (1, pytest.approx((1.0 + 0.5 + 1.0) / 3))
+    run_study(config, folder, workers, report)
+    return reports
+
+
+def test_progress_counts_every_run_up_to_its_budget(tmp_path, begun):
+    reports = report_progress(begun, tmp_path)
+    assert reports[0] == (2, pytest.approx((1.0 + 0.5 + 1.0) / 3))
     assert reports[-1] == (3, 1.0)
+
+
+def test_progress_includes_runs_that_are_not_restored_yet(tmp_path, begun):
+    collect(begun, tmp_path)
+    shutil.rmtree(tmp_path / "cells")
+    reports = report_progress(begun, tmp_path)
+    assert reports[0] == (2, pytest.approx((1.0 + 0.5 + 1.0) / 3))
 
 
 @pytest.mark.slow
