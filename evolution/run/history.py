@@ -271,8 +271,8 @@ class History:
         known = number < len(self._completions)
         outcomes = self._advance()
         if self.best is not None and self.kind == "evolution":
-            file = self.folder / "best.json"
-            if (not known and self.best is not before) or not file.exists():
+            file, is_last = self.folder / "best.json", len(self.generations) == len(self._completions)
+            if (not known and self.best is not before) or (is_last and not file.exists()):
                 advice = f"free some space and run `caterpillar resume {shlex.quote(str(self.folder))}`"
                 self.robot(self.best).save(file, advice)
         if not known:  # last, so that a resumed run repeats a failed write of best.json

@@ -105,6 +105,15 @@ def test_best_robot_is_the_first_of_the_best_rows(run):
     assert best.to_dict() == result.best_robot.to_dict()
 
 
+def test_missing_file_of_the_best_robot_is_written_again(tmp_path, invented):
+    evolve(replace(CONFIG, generations=9), tmp_path, evaluator=invented)
+    written = (tmp_path / "best.json").read_bytes()
+    assert Robot.load(tmp_path).generation > 0
+    (tmp_path / "best.json").unlink()
+    resume(tmp_path, evaluator=invented)
+    assert (tmp_path / "best.json").read_bytes() == written
+
+
 def test_best_fitness_never_gets_worse(run):
     folder, result = run
     best_m = [g.best_m for g in result.generations]
