@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import os
 import subprocess
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import imageio_ffmpeg
 import numpy as np
@@ -34,15 +35,12 @@ _PALETTE = (
     "split[a][b];[a]palettegen=max_colors=128:stats_mode=full[p];"
     "[b][p]paletteuse=dither=bayer:bayer_scale=5:diff_mode=rectangle"
 )
-#: Options of ffmpeg. `-loop 0` repeats a WebP forever.
-_OPTIONS = {
-    ".mp4": [], ".gif": ["-filter_complex", _PALETTE], ".webp": ["-quality", "60", "-loop", "0"],
-}  # fmt: skip
-#: Arguments of `imageio_ffmpeg.write_frames`. GIF frame times are multiples of 10 ms.
-_ENCODING: dict[str, dict[str, Any]] = {
-    ".mp4": {"fps": 25.0, "quality": 7},
-    ".gif": {"fps": 12.5, "quality": None, "codec": "gif", "pix_fmt_out": "pal8"},
-    ".webp": {"fps": 12.5, "quality": None, "codec": "libwebp_anim"},
+_PAD = "pad=ceil(iw/2)*2:ceil(ih/2)*2"  # H.264 needs an even width and height
+#: Frames per second, and options of ffmpeg. GIF frame times are multiples of 10 ms.
+_ENCODING = {
+    ".mp4": (25.0, ["-vf", _PAD, "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "15"]),
+    ".gif": (12.5, ["-filter_complex", _PALETTE, "-c:v", "gif", "-pix_fmt", "pal8"]),
+    ".webp": (12.5, ["-c:v", "libwebp_anim", "-pix_fmt", "yuv420p", "-quality", "60", "-loop", "0"]),
 }
 
 
@@ -136,7 +134,7 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
     config = config or VideoConfig()
     check_path(path)
     width, height, columns, rows = config.layout(len(recordings))
-    fps = _ENCODING[path.suffix]["fps"]
+    fps, _ = _ENCODING[path.suffix]
     view_length_m = max(r.body_length_m for r in recordings)
     tile = (width - _GAP_PX * (columns - 1)) // columns, (height - _GAP_PX * (rows - 1)) // rows
     view = View(*tile, config.camera)
@@ -165,7 +163,7 @@ def write_video(recordings: Sequence[Recording], path: Path, config: VideoConfig
 @contextmanager
 def open_video(
     path: Path, size: tuple[int, int], *, fps: float | None = None, comment: str = ""
-) -> Iterator[Callable[[NDArray[np.uint8]], None]]:
+) -> Iterator[Callable[[NDArray[np.uint8]], object]]:
     """Yield a function that appends a frame to a new video. The file appears when it is complete.
 
     Args:
@@ -177,31 +175,38 @@ def open_video(
     Raises:
         CaterpillarError: writing fails.
     """
-    encoding = _ENCODING[path.suffix] | ({} if fps is None else {"fps": fps})
+    rate, options = _ENCODING[path.suffix]
+    rate, (width, height) = fps or rate, size
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
-    writer = imageio_ffmpeg.write_frames(
-        str(partial), size, macro_block_size=2, **encoding,
-        output_params=[
-            "-loglevel", "quiet", *_OPTIONS[path.suffix], "-metadata", f"comment={comment}",
-        ],
-    )  # fmt: skip
-    try:
-        writer.send(None)
-        yield writer.send
-        writer.close()
-        os.replace(partial, path)
-    except OSError as error:
-        raise CaterpillarError(f"cannot write {path}: {str(error).splitlines()[0]}") from None
-    finally:
-        writer.close()
-        partial.unlink(missing_ok=True)
+    command = [
+        imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error",
+        "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(rate), "-i", "-",
+        *options, "-metadata", f"comment={comment}", f"file:{partial}",
+    ]  # fmt: skip
+    # Ctrl-C reaches all processes of a group. In its own group, ffmpeg does not stop.
+    with tempfile.TemporaryFile() as messages:
+        try:
+            with subprocess.Popen(
+                command, stdin=subprocess.PIPE, stderr=messages, process_group=0
+            ) as process:
+                assert process.stdin is not None
+                yield cast(Callable[[NDArray[np.uint8]], object], process.stdin.write)
+            if process.returncode != 0:
+                raise OSError(f"ffmpeg ended with status {process.returncode}")
+            os.replace(partial, path)
+        except OSError as error:
+            messages.seek(0)
+            reason = (messages.read().decode(errors="replace").strip() or str(error)).splitlines()[0]
+            raise CaterpillarError(f"cannot write {path}: {reason}") from None
+        finally:
+            partial.unlink(missing_ok=True)
 
 
 def is_video_of(path: Path, robot: AnyRobot) -> bool:
     """Return whether `write_video` wrote this file for this robot, by the digest in the metadata."""
     if not path.is_file():  # ffmpeg would block if `path` is a named pipe
         return False
-    options = ["-loglevel", "quiet", "-i", str(path), "-f", "ffmetadata", "-"]
+    options = ["-loglevel", "quiet", "-i", f"file:{path}", "-f", "ffmetadata", "-"]
     read = [imageio_ffmpeg.get_ffmpeg_exe(), *options]
     metadata = subprocess.run(read, capture_output=True, text=True, check=False).stdout
     return f"comment={robot.digest}" in metadata.splitlines()

@@ -3,6 +3,7 @@
 import os
 from contextlib import closing, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import imageio_ffmpeg
 import numpy as np
@@ -11,7 +12,7 @@ from PIL import Image
 
 from caterpillar_env.drawing import rendering, video
 from caterpillar_env.drawing.rendering import RenderingError, RobotRenderer, View
-from caterpillar_env.drawing.video import Recording, VideoConfig, is_video_of, write_video
+from caterpillar_env.drawing.video import Recording, VideoConfig, is_video_of, open_video, write_video
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
 from caterpillar_env.morphology import Morphology
@@ -226,6 +227,24 @@ def test_bodies_are_shown_at_one_scale(recording):
     assert body_px(recording.body_length_m) > 2.5 * body_px(2 * recording.body_length_m) > 0
 
 
+@pytest.mark.parametrize(
+    ("suffix", "size"), [(".mp4", (34, 32)), (".gif", (33, 31)), (".webp", (33, 31))]
+)
+def test_sizes_can_be_odd_and_a_folder_can_have_a_colon(suffix, size, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = Path(f"a:b/small{suffix}")
+    path.parent.mkdir()
+    with open_video(path, (33, 31), comment="robot") as write:
+        for level in range(0, 250, 50):
+            write(np.full((31, 33, 3), level, dtype=np.uint8))
+    if suffix == ".mp4":
+        assert read_frames(tmp_path / path)[0]["size"] == size
+        assert is_video_of(path, SimpleNamespace(digest="robot"))
+    else:
+        with Image.open(path) as image:
+            assert image.size == size
+
+
 def test_video_names_its_robot(recording, long_and_failed, tmp_path):
     path = tmp_path / "robot.mp4"
     write_video([recording], path, QUICK)
@@ -276,6 +295,21 @@ def test_unwritable_folder_is_rejected_and_leaves_no_file(recording, tmp_path):
     with pytest.raises(CaterpillarError, match="cannot write"):
         write_video([recording], tmp_path / "nowhere" / "robot.mp4", QUICK)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+def test_full_disk_is_reported_and_keeps_the_old_video(suffix, tmp_path):
+    path = tmp_path / f"robot{suffix}"
+    path.write_text("old")
+    (tmp_path / f".robot.partial{suffix}").symlink_to("/dev/full")
+    with (
+        pytest.raises(CaterpillarError, match=rf"cannot write .*robot\{suffix}: .*No space left"),
+        open_video(path, (64, 48)) as write,
+    ):
+        write(np.zeros((48, 64, 3), dtype=np.uint8))
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
 def test_failed_rendering_leaves_no_file(recording, tmp_path, monkeypatch, caplog):
