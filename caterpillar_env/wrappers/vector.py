@@ -75,7 +75,9 @@ class RecordVideo(vector.RecordVideo[Any, Any]):
         self._drawn = True
 
     def _capture_frame(self) -> None:
-        """Record the state after a step or a reset."""
+        """Record the state after a step or a reset. Without a drawing backend, stop recording."""
         drawn, self._drawn = self._drawn and bool(self.recorded_frames), False
-        if not drawn:
+        if not drawn and not self.recorded_frames and self.env.render() is None:
+            self.stop_recording()
+        elif not drawn:
             super()._capture_frame()

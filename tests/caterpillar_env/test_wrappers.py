@@ -5,6 +5,7 @@ import pytest
 from gymnasium.wrappers import AddWhiteNoise, RenderCollection
 
 from caterpillar_env import CaterpillarEnv, CaterpillarError
+from caterpillar_env.drawing import rendering
 from caterpillar_env.task import Failure, FailureLimits
 from caterpillar_env.wrappers import RecordVideo
 from caterpillar_env.wrappers.vector import RecordVideo as RecordVectorVideo
@@ -189,6 +190,17 @@ def test_reset_of_row_0_ends_its_film_while_others_move(tmp_path):
     assert len(envs.recorded_frames) == 1
     envs.close()
     assert length(tmp_path, "episode-0")[0] == 1 + STEP
+
+
+@pytest.mark.filterwarnings("ignore:.*(cannot draw|zero frames|numpy array)")
+@pytest.mark.parametrize("wrap", [RecordVideo, RecordVectorVideo])
+def test_training_goes_on_without_videos_on_a_machine_that_cannot_draw(wrap, tmp_path, monkeypatch):
+    monkeypatch.setattr(rendering, "unavailable", "no device")
+    env = wrap(make() if wrap is RecordVideo else make_vec(), str(tmp_path), episode_trigger=always)
+    env.reset(seed=0)
+    env.step(ACTION if wrap is RecordVideo else np.tile(ACTION, (2, 1)))
+    env.close()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_other_environments_are_rejected(tmp_path):
