@@ -69,7 +69,9 @@ def advance(bodies: Sequence[Body], timings: GaitTimings, physics: Physics) -> A
     """
     period_s, gaps = timings.period_s, physics.num_segments - 1
     springs = timings.of_springs(SPRINGS_PER_GAP * gaps)
-    duties, which = np.unique((springs.off_s - springs.on_s) / period_s % 1.0, return_inverse=True)
+    powered_s = springs.off_s - springs.on_s
+    duty = np.where(powered_s == period_s, 1.0, powered_s / period_s % 1.0)
+    duties, which = np.unique(duty, return_inverse=True)
     settled = _settled_fraction(duties, physics.spring, period_s)  # (steps, duties)
     time = np.arange(INSTANTS + 1)[:, None, None] / INSTANTS
     steps = ((time - springs.on_s / period_s) % 1.0 * len(settled)).astype(int) % len(settled)

@@ -26,6 +26,7 @@ from evolution.priors.distributions import (
 )
 
 GRID_NODES = 10  #: "approximately ten nodes per gene", Saunders 2009, section II
+_TIE = 1e-9  #: largest difference of equal values, relative to the range of K_i
 
 #: What to do with a gene on which two K_i disagree: keep it uniform, as in the paper, or put the peak at
 #: the node where the product of the normalized K_i is largest.
@@ -52,16 +53,12 @@ class Search(NamedTuple):
     best: tuple[int, ...]  #: index of the best node of each gene
 
     def profile(self, name: str) -> Array:
-        """Return K_i along one gene, with the other genes at their best node, (GRID_NODES,).
-
-        The values are relative to the maximum. Negative values become 0.
-        """
+        """Return K_i along one gene, with the other genes at their best node, (GRID_NODES,)."""
         names = self.parameter.gene_names
-        line = self.values[
+        line: Array = self.values[
             tuple(slice(None) if n == name else b for n, b in zip(names, self.best, strict=True))
         ]
-        top = line.max()
-        return np.maximum(line, 0.0) / top if top > 0 else np.ones_like(line)
+        return line
 
     def node(self, name: str) -> int:
         """Return the index of the best node of a gene."""
@@ -110,7 +107,8 @@ def search_grid(k: DesignParameter, genes: tuple[Gene, ...]) -> Search:
     for axis, name in enumerate(k.gene_names):
         if np.all(np.ptp(values, axis=axis) == 0):
             raise CaterpillarError(
-                f"{k.name} does not depend on {name}; remove {name} from its gene_names"
+                f"{k.name} does not depend on {name}; leave out {k.name} (prior_without), or remove "
+                f"{name} from its gene_names"
             )
     best = np.unravel_index(int(np.argmax(values)), values.shape)
     return Search(k, genes, nodes, values, tuple(map(int, best)))
@@ -181,7 +179,11 @@ def _make_prior(
     if not found:
         return GenePrior(gene, Uniform(), signs, "in no design parameter")
     node, reason = next(iter(wanted.values())), f"best node of {' and '.join(wanted)}"
-    if len(set(wanted.values())) > 1:
+    profiles = {search.parameter.name: search.profile(name) for search in found}
+    agreed = np.all([k >= k.max() - _TIE * np.ptp(k) for k in profiles.values()], axis=0)
+    if len(set(wanted.values())) > 1 and agreed.any():  # some K_i have their maximum at several nodes
+        node = int(np.argmax(agreed))
+    elif len(set(wanted.values())) > 1:
         factor, unit = gene.shown
         values = {
             k: factor * (gene.lower + n / last * (gene.upper - gene.lower)) for k, n in wanted.items()
@@ -189,7 +191,13 @@ def _make_prior(
         wishes = "; ".join(f"{k} wants {value:.3g} {unit}" for k, value in values.items())
         if contradictions == "uniform":
             return GenePrior(gene, Uniform(), signs, f"contradiction: {wishes}")
-        node = int(np.argmax(np.prod([search.profile(name) for search in found], axis=0)))
-        reason = f"best product ({wishes})"
+        if negative := [k for k, values in profiles.items() if values.max() <= 0]:
+            raise CaterpillarError(
+                f"{' and '.join(negative)} must have positive values for contradictions = 'product'"
+            )
+        product = np.prod([np.maximum(k, 0.0) / k.max() for k in profiles.values()], axis=0)
+        if not product.any():
+            return GenePrior(gene, Uniform(), signs, f"contradiction: {wishes}")
+        node, reason = int(np.argmax(product)), f"best product ({wishes})"
     kind = WrappedGaussian if gene.circular else ClippedGaussian
     return GenePrior(gene, kind.with_floor(node / last, floor_ratio), signs, reason)

@@ -12,7 +12,7 @@ from baselines.policy import TrainedRobot
 from baselines.training import train
 from baselines.vec_env import CaterpillarVecEnv
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.morphology import Morphology
+from caterpillar_env.morphology import NAMES, Morphology
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import Failure
 
@@ -116,8 +116,9 @@ def test_prior_sets_the_start_of_the_search():
         for design in ("uniform", "body")
     }
     np.testing.assert_allclose(first["uniform"].to_unit(), 0.5)
-    assert first["body"] != first["uniform"]
-    assert isinstance(first["body"], Morphology)
+    genes = dict(zip(NAMES, first["body"].to_unit(), strict=True))
+    assert genes["leg_separation_m"] > 0.9  # Table I of the paper: wide and low
+    assert genes["segment_radius_m"] < 0.1
 
 
 def test_rollout_length_must_equal_the_episode_length():

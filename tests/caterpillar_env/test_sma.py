@@ -12,7 +12,15 @@ from hypothesis.extra.numpy import arrays
 
 from caterpillar_env import SmaSpring
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.sma import BOUNDS, SmaState, advance, cooling_branch, heating_branch, spring_force
+from caterpillar_env.sma import (
+    BOUNDS,
+    SmaState,
+    advance,
+    cooling_branch,
+    heating_branch,
+    settle,
+    spring_force,
+)
 
 NITI = SmaSpring()
 STEP_S = 0.01
@@ -154,6 +162,14 @@ def test_any_power_history_stays_between_ambient_and_cut_off(power, current_a):
     np.testing.assert_array_equal(done.state, state)
     assert ((done.path.fraction >= 0) & (done.path.fraction <= 1)).all()
     assert ((done.power >= 0) & (done.power <= power + 1e-12)).all()
+
+
+@pytest.mark.parametrize("period_s", [0.3, 1.0, 5.0])
+def test_settled_temperatures_are_periodic(period_s):
+    power = np.repeat([1.0, 0.0], [round(30 * period_s), round(70 * period_s)])[:, None]
+    last = settle(NITI, power, 0.01)
+    following = advance(NITI, last.state, power, 0.01)
+    np.testing.assert_allclose(following.path.fraction, last.path.fraction, atol=1e-6)
 
 
 def test_springs_are_independent_of_their_neighbours():

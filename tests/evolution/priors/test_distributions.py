@@ -38,7 +38,7 @@ def test_ratio_of_highest_to_lowest_density_is_the_floor_ratio(mu, ratio):
     assert density[-1] == density.max()
 
 
-@pytest.mark.parametrize("distribution", [Uniform(), *SHAPES], ids=str)
+@pytest.mark.parametrize("distribution", [Uniform(), *SHAPES, WrappedGaussian(0.3, 0.2)], ids=str)
 def test_density_integrates_to_one(distribution):
     total, _ = quad(lambda x: float(distribution.density(np.float64(x))), 0, 1, points=[0.3])
     assert total == pytest.approx(1.0, abs=1e-8)

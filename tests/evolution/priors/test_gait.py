@@ -64,6 +64,19 @@ def test_springs_that_never_cool_do_not_advance():
 
 
 @pytest.mark.slow
+def test_spring_that_is_always_powered_stays_hot():
+    on_s = np.array([[0.0, 2.5, 3.3, 0.8, 1.7, 4.2]])
+    off_s = on_s + 1.0
+    advances_m = []
+    for end_s in (0.0, 5.0, 4.9999):
+        off_s[0, 0] = end_s
+        timings = GaitTimings(5.0, on_s, np.where(off_s > 5.0, off_s - 5.0, off_s))
+        advances_m.append(advance([Morphology()], timings, PHYSICS)[0])
+    never, always, nearly = advances_m
+    assert always == pytest.approx(nearly, abs=1e-5)
+    assert abs(always - never) > 1e-3
+
+
 def test_advance_ranks_gaits_as_the_simulator_does():
     # `python -m benchmarks.advance` compares 200 gaits; 30 gaits scatter about its correlation.
     rng = np.random.default_rng(3)

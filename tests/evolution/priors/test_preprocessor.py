@@ -106,6 +106,27 @@ def test_product_takes_the_other_genes_at_their_best():
     assert rows[1].distribution == ClippedGaussian.with_floor(1.0)
 
 
+def test_product_requires_positive_values():
+    negative, rising = k("K1", ("a",), lambda a: a - 2), k("K2", ("a",), lambda a: 1 - a)
+    with pytest.raises(CaterpillarError, match="K1 must have positive values"):
+        preprocess([negative, rising], [A], contradictions="product")
+
+
+def test_gene_stays_uniform_if_the_product_is_zero_everywhere():
+    low, high = k("K1", ("a",), lambda a: 0.5 - a), k("K2", ("a",), lambda a: a - 0.95)
+    (row,) = preprocess([low, high], [A], contradictions="product")
+    assert row.distribution == Uniform()
+    assert row.reason.startswith("contradiction")
+
+
+@pytest.mark.parametrize("contradictions", ["uniform", "product"])
+def test_parameter_with_several_best_nodes_agrees_with_any_of_them(contradictions):
+    flat, peaked = k("K1", ("a",), lambda a: np.minimum(a, 0.5)), k("K2", ("a",), lambda a: a)
+    (row,) = preprocess([flat, peaked], [A], contradictions=contradictions)
+    assert row.distribution == ClippedGaussian.with_floor(1.0)
+    assert row.reason == "best node of K1 and K2"
+
+
 def test_agreement_does_not_depend_on_how_contradictions_are_resolved():
     parameters = [k("K1", ("a",), lambda a: a), k("K2", ("a", "b"), lambda a, b: a - b)]
     assert preprocess(parameters, [A, B]) == preprocess(parameters, [A, B], contradictions="product")
