@@ -220,7 +220,7 @@ def _summarize_times(threshold: Threshold, row: Times, reference: str) -> str:
     line = f"{row.arm}: {row.reached} of {_count_runs(row.runs)} reached {level}"
     if row.median_generations is not None and np.isfinite(row.median_generations.value):
         line += f", the median run after {format_estimate(row.median_generations, '{:.0f}')} generations"
-    if row.acceleration is not None and row.acceleration.value > 0:
+    if row.arm != reference and row.acceleration is not None and row.acceleration.value > 0:
         line += f", {format_estimate(row.acceleration)} times as fast as {reference}"
     if row.speed_up is not None:
         line += (

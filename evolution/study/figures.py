@@ -48,16 +48,16 @@ def draw_best(analysis: Analysis) -> Figure:
 
 
 def draw_generations(analysis: Analysis) -> Figure | None:
-    """Draw the best distance over generations, or return None if no arm is comparable."""
+    """Draw the best distance over generations, or return None if no comparable arm completed any."""
     arms = [arm for arm in analysis.config.comparable() if arm in analysis.runs]
-    if not arms:
-        return None
     figure, axis = _new_figure("best distance so far (mm)")
     axis.set_xlabel("generations")
     colours = _colours(analysis)
     for arm in arms:
         runs = sorted(analysis.runs[arm], key=lambda run: -run.generations)
         count = runs[min(_FEWEST_RUNS, len(runs)) - 1].generations
+        if count == 0:
+            continue
         generations = np.arange(1, count + 1)
         best_mm = 1000 * np.array([[run.best_after(n) for n in range(1, count + 1)] for run in runs])
         low, median, high = np.nanquantile(best_mm, [0.25, 0.5, 0.75], axis=0)
@@ -68,6 +68,8 @@ def draw_generations(analysis: Analysis) -> Figure | None:
         if count > whole:
             first = max(whole - 1, 0)
             axis.plot(generations[first:], median[first:], "--", color=colours[arm])
+    if not axis.lines:
+        return None
     axis.set(xlim=(0, None), ylim=(0, None))
     _add_legend(axis)
     return figure

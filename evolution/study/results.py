@@ -192,9 +192,14 @@ class Run(NamedTuple):
         return float(self.spent_s[place]) if place < len(self.best_m) else float("inf")
 
     def generations_to(self, distance_m: float) -> float:
-        """Return the number of generations that the run needs to reach a distance; infinite if never."""
+        """Return the number of generations that the run needs to reach a distance; infinite if never.
+
+        Only generations that were completed within the budget count.
+        """
         place = int(np.searchsorted(self.best_m, distance_m))
-        return float(self.generation[place] + 1) if place < len(self.best_m) else float("inf")
+        if place == len(self.best_m) or self.generation[place] >= self.generations:
+            return float("inf")
+        return float(self.generation[place] + 1)
 
     def best_after(self, generations: int) -> float:
         """Return the best distance (m) after a number of generations, or NaN beyond the budget."""

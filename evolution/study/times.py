@@ -67,8 +67,8 @@ class Times(NamedTuple):
     median_generations: Estimate | None  #: the same in generations; None if not comparable
     #: Speed-up in generations, as in the paper: the number of generations that defines the threshold,
     #: divided by the number after which the arm's median run reaches it. 0 if fewer than half of the
-    #: runs reach it; None for a reference, a fixed threshold, or another algorithm than that of the
-    #: reference of the study.
+    #: runs reach it; None for a fixed threshold, or another algorithm than that of the reference of the
+    #: study. At least 1 for a reference, because its median run may reach the threshold earlier.
     acceleration: Estimate | None
     running_time_s: Estimate  #: expected running time (ERT) within the study's `budget_s`
     speed_up: Estimate | None  #: ratio of ERTs, reference to arm; None for a reference
@@ -125,7 +125,7 @@ def find_times(config: StudyConfig, runs: Runs, threshold: Threshold) -> list[Ti
         counts = acceleration = None
         if arm in comparable:
             counts = count_generations(found, level_m)
-            if config.reference_of(arm) in comparable and arm in speed_up and threshold.fixed_m is None:
+            if config.reference_of(arm) in comparable and reference and threshold.fixed_m is None:
                 acceleration = _accelerate(threshold, found, reference)
         rows.append(
             Times(
@@ -184,13 +184,14 @@ def _accelerate(threshold: Threshold, runs: list[Run], reference: list[Run]) -> 
     """Estimate the speed-up in generations, see `Times.acceleration`."""
     level, find = threshold.find(reference), cache(partial(count_generations, runs))
 
-    def acceleration(rows: Rows, base: Rows) -> float:
-        level_m = level(base)
+    def acceleration(rows: Rows, base: Rows | None = None) -> float:
+        level_m = level(rows if base is None else base)
         counts, reached = find(level_m)
         median = statistics.find_median(counts[rows], reached[rows])
         return float("nan") if np.isnan(level_m) else threshold.generations / median
 
-    return statistics.bootstrap(acceleration, indices(runs), indices(reference))
+    groups = (runs,) if runs is reference else (runs, reference)
+    return statistics.bootstrap(acceleration, *map(indices, groups))
 
 
 def _running_time(
@@ -205,9 +206,8 @@ def _running_time(
         ert = statistics.expected_running_time(time[rows], reached[rows])
         return float("nan") if np.isnan(level_m) else ert
 
-    if threshold.fixed_m is not None or runs is reference:
-        return statistics.bootstrap(running_time, indices(runs))
-    return statistics.bootstrap(running_time, indices(runs), indices(reference))
+    groups = (runs,) if threshold.fixed_m is not None or runs is reference else (runs, reference)
+    return statistics.bootstrap(running_time, *map(indices, groups))
 
 
 def speed_up_function(

@@ -102,8 +102,8 @@ class Retest(NamedTuple):
 def retest_winners(analysis: Analysis, folder: Path, *, every_run: bool = False) -> Retest:
     """Simulate the best robots again, and return the results.
 
-    Only robots that were evaluated within the budget count. Robots that an earlier call simulated are
-    not simulated again. Results are saved as `winners/winners.json` in the study's folder,
+    Only robots that were evaluated within the study's `budget_s` count. Robots that an earlier call
+    simulated are not simulated again. Results are saved as `winners/winners.json` in the study's folder,
     the best robot of an arm as `winners/ARM.json`, and that of a run as `winners/ARM/seed-N.json`.
 
     Args:
@@ -118,7 +118,11 @@ def retest_winners(analysis: Analysis, folder: Path, *, every_run: bool = False)
     rows: dict[_Key, _Row] = {(row["arm"], row["seed"], row["recorded_m"]): row for row in known}
     retest = Retest([], [], [])
     for arm, runs in analysis.runs.items():
-        found = {(arm, run.seed, best_m): run for run in runs if (best_m := run.best_at(math.inf)) > 0}
+        found = {
+            (arm, run.seed, best_m): run
+            for run in runs
+            if (best_m := run.best_at(analysis.config.budget_s)) > 0
+        }
         if not found:
             continue
         best = max(found, key=lambda key: key[2])
@@ -208,11 +212,12 @@ def _file_of(folder: Path, cell: Cell) -> Path:
 
 
 def load_winner(config: StudyConfig, folder: Path, arm: str, run: Run) -> AnyRobot | None:
-    """Return a run's best robot within the budget, or None if it cannot be recreated."""
-    cell, number = Cell(arm, run.seed), int(run.best_m.argmax())
+    """Return a run's best robot within `config.budget_s`, or None if it cannot be recreated."""
+    cell, best_m = Cell(arm, run.seed), run.best_at(config.budget_s)
+    number = int(np.searchsorted(run.best_m, best_m))
     file, run_folder = _file_of(folder, cell), cell.folder(folder)
     has_run = run_folder.exists()
-    robot = _load_saved(config.arms[arm], file, float(run.best_m[number]), strict=not has_run)
+    robot = _load_saved(config.arms[arm], file, best_m, strict=not has_run)
     if robot is not None:
         return robot
     if not config.arms[arm].restorable:

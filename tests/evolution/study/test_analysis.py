@@ -10,6 +10,7 @@ import pytest
 from evolution.study import statistics
 from evolution.study.analysis import analyse, format_estimate, format_p, summarize
 from evolution.study.config import Cell, StudyConfig
+from evolution.study.figures import draw_generations
 from evolution.study.results import Results, Run, read_runs
 from evolution.study.statistics import Estimate
 from evolution.study.times import Threshold, _log_rank, arrivals, compare
@@ -180,9 +181,17 @@ def test_arm_with_half_the_generations_has_an_acceleration_of_2(few_draws):
     table = polars.concat(
         [runs("ga-uniform", [ramp(0.0, 0.01)] * 5), runs("ga-preprocessed", [ramp(0.01, 0.02)] * 5)]
     )
-    _, row = analyse(config, Results(table, [])).times[THRESHOLD]
+    base, row = analyse(config, Results(table, [])).times[THRESHOLD]
     assert row.median_generations.value == 1  # 90 mm, the reference's distance after two
     assert row.acceleration == Estimate(2, 2, 2)
+    assert base.acceleration == Estimate(1, 1, 1)
+
+
+def test_reference_may_reach_its_own_threshold_early(few_draws):
+    table = runs("ga-uniform", [[0.09] * 10] * 5)  # all of the distance in the first generation
+    config = with_own_thresholds(seeds=[0, 1, 2, 3, 4])
+    (base,) = analyse(config, Results(table, [])).times[THRESHOLD]
+    assert base.acceleration == Estimate(2, 2, 2)
 
 
 def with_own_thresholds(**fields):
@@ -204,7 +213,7 @@ def test_threshold_is_the_median_of_the_reference(few_draws):
     # The median run needs two generations, as many as the threshold.
     assert row.acceleration.value == 1.0
     assert row.acceleration.low <= 1.0 <= row.acceleration.high
-    assert base.acceleration is None
+    assert base.acceleration.value == 1.0
     # Each resample has its own threshold: the interval is wider than with a fixed one.
     config = replace(config, thresholds_m=(0.27,))
     fixed = analyse(config, Results(polars.concat([uniform, fast]), []))
@@ -236,6 +245,7 @@ def test_runs_without_an_evaluation_within_the_budget_reach_nothing(few_draws):
     found = analyse(CONFIG, Results(table, []))
     assert [row.reached for row in found.times[Threshold(0.09)]] == [0]
     assert [row.median_m.value for row in found.distances[CONFIG.budget_s]] == [0.0]
+    assert draw_generations(found) is None
 
 
 @pytest.mark.slow

@@ -150,6 +150,9 @@ def test_distances_of_a_run_by_time_and_generation():
     assert [run.generations_to(distance_m) for distance_m in (0.01, 0.02, 0.04)] == [1, 2, np.inf]
     assert [run.best_after(count) for count in (1, 2)] == [0.01, 0.03]
     assert np.isnan(run.best_after(3))
+    cut = run._replace(generations=1)  # the budget ends within the second generation
+    assert [cut.time_to(0.02), cut.generations_to(0.02)] == [50.0, np.inf]
+    assert np.isnan(cut.best_after(2))
     assert [run.best_at(time_s) for time_s in (9.0, 20.0, 60.0)] == [0.0, 0.01, 0.03]
 
 
