@@ -27,8 +27,8 @@ from caterpillar_env.task import Crawl
 unavailable: str | None = None
 
 _ADVICE = (
-    "install EGL (Debian: apt install libegl1 libgl1-mesa-dri), or install OSMesa (libosmesa6) and "
-    "export MUJOCO_GL=osmesa; see also `caterpillar doctor`"
+    "install EGL (Debian: apt install libegl1 libgl1 libgl1-mesa-dri), or install OSMesa (libosmesa6) "
+    "and export MUJOCO_GL=osmesa; see also `caterpillar doctor`"
 )
 _CONTACT_RGBA = np.array([1.0, 0.55, 0.05, 0.85])
 _SPOT_SIZE_M, _SPOT_HEIGHT_M = np.array([0.005, 0.0002, 0.0]), 0.0006  # radius, half height
@@ -150,7 +150,7 @@ class RobotRenderer:
         backend = choose_backend()
         if unavailable is None and self._canvas is None:
             try:
-                if backend == "disabled":
+                if backend in ("disable", "disabled", "off", "false", "0"):
                     raise OSError("unset MUJOCO_GL, which disables rendering")
                 # MuJoCo selects the context class at import. Replace it by the class of the backend.
                 if backend in ("egl", "osmesa"):

@@ -14,7 +14,7 @@
   const ground = data.ground && new Int32Array(unpack(data.ground.heights_um).buffer); // of uneven ground
   const frames = track.length / 3, last = frames - 1, long = data.length_m;
   const contact = "#ff8c0d", homeView = { turn: -0.5, tilt: 0.45, zoom: 1 };
-  let view = { ...homeView }, frame = 0, playing = false, before = 0, queued = false;
+  let view = { ...homeView }, frame = 0, playing = false, before = 0, queued = false, next = 0;
   let scale, centre, axes; // of the image: pixels per m, the point looked at, and directions
 
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -203,14 +203,15 @@
     before = time;
     playing = frame < last;
     draw();
-    requestAnimationFrame(tick);
+    next = requestAnimationFrame(tick);
   }
 
   function toggle() {
     playing = !playing;
     if (playing && frame >= last) frame = 0;
     before = performance.now();
-    if (playing) requestAnimationFrame(tick);
+    cancelAnimationFrame(next); // of a tick that is still pending after a pause
+    if (playing) next = requestAnimationFrame(tick);
     draw();
   }
 

@@ -109,7 +109,7 @@ def page(history: History, figures: Mapping[str, str], recording: Recording | No
         sessions=[(session, per_session[session.number]) for session in sessions],
         episode_s=EPISODE_S,
         best=history.best,
-        gait=None if best is None else measure_gait(best),
+        gait=measure_gait(best) if best is not None and best.fitness_m else None,
         figures=figures,
         replay=None if recording is None else encode(recording),
         video=_embed_video(history),

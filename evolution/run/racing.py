@@ -44,7 +44,7 @@ def race(
         CaterpillarError: the objective returned a wrong shape or non-finite values.
     """
     encoding, stop_s = config.encoding, config.race_periods * config.gait_period_s
-    count = math.ceil(config.race_share * len(genomes))
+    count = math.ceil(round(config.race_share * len(genomes), 9))  # 0.07 * 100 is above 7
     first_s = stop_s * len(genomes)
     first_share = first_s / (first_s + (EPISODE_S - stop_s) * count)  # share of the simulated time
     jobs = [Job(chunk, stop_s) for chunk in evaluator.split(genomes)]

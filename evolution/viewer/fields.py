@@ -50,7 +50,9 @@ class Field:
         values = read_values(robot, self.timing)
         # The rounded end of a slider can exceed the bound: 57.3° is more than 1 rad.
         values[self.index] = np.clip(value / self.gene.shown[0], self.gene.lower, self.gene.upper)
-        return _with_values(robot, values, self.timing)
+        changed = _with_values(robot, values, self.timing)
+        # Converting a gait to delays and back would round its times.
+        return changed if self.folder == "gait" else replace(changed, timings=robot.timings)
 
     def _round(self, value: float) -> float:
         return round(float(value) * self.gene.shown[0], self.decimals)

@@ -51,6 +51,8 @@ def test_both_bounds_can_be_set_and_change_no_other_field(name, timing):
                 assert field.read(changed) == value
             others, expected = (np.delete(read_values(r, timing), number) for r in (changed, robot))
             assert others == pytest.approx(expected, abs=0 if timing == "on-off" else 1e-12)
+            if field.folder != "gait":
+                assert changed.timings is robot.timings
             if changed is not robot:
                 assert (changed.fitness_m, changed.generation, changed.evaluation) == (None,) * 3
 
