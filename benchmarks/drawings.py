@@ -50,7 +50,7 @@ def write_drawings(folder: Path) -> None:
 def robot() -> Figure:
     """Draw the robot, with the names of its parts (Fig. 6)."""
     physics, view = Physics(), View(900, 420)
-    renderer = RobotRenderer(_BODY, physics, view, view_length_m=0.6 * length_m((_BODY,) * 4))
+    renderer = RobotRenderer(_BODY, physics, view, view_length_m=0.6 * length_m(_BODY, 4))
     pixels = renderer.draw(renderer.model.qpos0, np.full(physics.num_springs, physics.spring.ambient_c))
     model, data = renderer.model, mujoco.MjData(renderer.model)
     renderer.close()

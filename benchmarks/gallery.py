@@ -28,7 +28,7 @@ from caterpillar_env.drawing.video import Recording, VideoConfig, write_video
 from caterpillar_env.gait import GaitTimings, pair_names
 from caterpillar_env.ground import FOOT
 from caterpillar_env.model import ELEMENTS_PER_SEGMENT
-from caterpillar_env.morphology import LOWER, NAMES, UPPER, Morphology, length_m, segments_of
+from caterpillar_env.morphology import LOWER, NAMES, UPPER, Morphology, length_m
 from caterpillar_env.physics import GRAVITY_M_S2, SMA_STEP_S, Physics
 from caterpillar_env.robot import Robot, wave_robot
 from caterpillar_env.sma import SmaSpring
@@ -182,7 +182,7 @@ def draw_wave(robot: Robot) -> Figure:
     figure = Figure(figsize=(9.0, 8.4), layout="constrained")
     grid = figure.add_gridspec(4, STILLS, height_ratios=[0.9, 1.7, 1.2, 1.0])
     view = View(360, 270, "side")
-    near_m = 0.75 * length_m(segments_of(robot.morphology, physics.num_segments))
+    near_m = 0.75 * length_m(robot.morphology, physics.num_segments)
     renderer = RobotRenderer(robot.morphology, physics, view, view_length_m=near_m)
     times_s = (np.arange(STILLS) + 0.5) * span_s / STILLS
     for column, time_s in enumerate(times_s):

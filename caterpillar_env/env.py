@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from caterpillar_env.arguments import ActionMode, EpisodeConfig, check_options, check_render_mode
 from caterpillar_env.drawing.rendering import Pictures, View
+from caterpillar_env.drawing.scenery import Camera
 from caterpillar_env.episodes import Episodes, EpisodeState, WithSpec, make_generator
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.faults import Faults
@@ -104,7 +105,7 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
-        camera_name: str = "track",
+        camera_name: Camera = "track",
     ) -> None:
         arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         EzPickle.__init__(self, **arguments)

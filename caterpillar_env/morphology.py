@@ -122,9 +122,9 @@ class Morphology:
 Body = Morphology | tuple[Morphology, ...]
 
 
-def length_m(segments: Sequence[Morphology]) -> float:
-    """Return the length of a body, m."""
-    return sum(segment.segment_length_m for segment in segments)
+def length_m(body: Body, num_segments: int) -> float:
+    """Return the length of a robot's body, m."""
+    return sum(segment.segment_length_m for segment in segments_of(body, num_segments))
 
 
 def segments_of(body: Body, num_segments: int) -> tuple[Morphology, ...]:

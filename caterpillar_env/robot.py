@@ -60,7 +60,6 @@ def simulate(
     threads: int = 0,
     duration_s: float = EPISODE_S,
     on_interval: OnInterval | None = None,
-    on_progress: Callable[[float], None] | None = None,
 ) -> Outcomes:
     """Simulate P robots, each until it fails or `duration_s` has passed.
 
@@ -71,33 +70,24 @@ def simulate(
         threads: number of threads; 0 means all usable cores. The results do not depend on it.
         duration_s: simulated time, s, a multiple of 0.1 s.
         on_interval: function to call with the trace of every control interval.
-        on_progress: function to call with the simulated share of the duration, in [0, 1].
     """
     crawl = Crawl(bodies, physics, threads)
-    follow(crawl, timings, duration_s, on_interval=on_interval, on_progress=on_progress)
+    repeat(crawl, gait_power(timings, physics), duration_s, on_interval=on_interval)
     return Outcomes.of(crawl.progress())
 
 
-def follow(
-    crawl: Crawl,
-    timings: GaitTimings,
-    end_s: float,
-    *,
-    on_interval: OnInterval | None = None,
-    on_progress: Callable[[float], None] | None = None,
-) -> None:
-    """Advance the robots of a `Crawl` with periodic gaits, until `end_s` after their reset.
+def gait_power(timings: GaitTimings, physics: Physics) -> Array:
+    """Return the share of the drive power over one gait period, (P, steps of 10 ms, springs).
 
     Args:
-        crawl: P robots. All that have not failed must be at the same simulated time.
-        timings: see `simulate`.
-        end_s: simulated time at which to stop, counted from the reset, s, a multiple of 0.1 s.
-        on_interval: see `simulate`.
-        on_progress: function to call with the completed share of this call, in [0, 1].
+        timings: see `simulate`. Arrays of shape (springs,) or (pairs,) give a power of (steps, springs).
+        physics: gives the number of springs.
+
+    Raises:
+        CaterpillarError: the gait period is not a multiple of 0.1 s, or the number of timings is wrong.
     """
     count_steps(timings.period_s, CONTROL_INTERVAL_S, "the gait period")
-    power = timings.of_springs(crawl.physics.num_springs).power(SMA_STEP_S)
-    repeat(crawl, power, end_s, on_interval=on_interval, on_progress=on_progress)
+    return timings.of_springs(physics.num_springs).power(SMA_STEP_S)
 
 
 def repeat(
@@ -111,12 +101,12 @@ def repeat(
     """Advance the robots of a `Crawl` with periodic power, until `end_s` after their reset.
 
     Args:
-        crawl: see `follow`.
+        crawl: P robots. All that have not failed must be at the same simulated time.
         power: power over one period, (P, steps, springs), see `Crawl.run`. The first period starts at
             the reset.
-        end_s: see `follow`.
+        end_s: simulated time at which to stop, counted from the reset, s, a multiple of 0.1 s.
         on_interval: see `simulate`.
-        on_progress: see `follow`.
+        on_progress: function to call with the completed share of this call, in [0, 1].
     """
     start_s = float(crawl.progress().time_s.max())
     steps = count_steps(end_s - start_s, CONTROL_INTERVAL_S, "the duration") * STEPS_PER_INTERVAL
@@ -185,7 +175,7 @@ class Robot:
 
     def power(self) -> Array:
         """Return the share of the drive power over one gait period, (steps of 10 ms, springs)."""
-        return self.timings.of_springs(self.physics.num_springs).power(SMA_STEP_S)
+        return gait_power(self.timings, self.physics)
 
     @property
     def kind(self) -> str:

@@ -22,6 +22,7 @@ from caterpillar_env.arguments import (
 )
 from caterpillar_env.arrays import Array, Rows
 from caterpillar_env.drawing.rendering import Pictures, View
+from caterpillar_env.drawing.scenery import Camera
 from caterpillar_env.env import CaterpillarEnv
 from caterpillar_env.episodes import Episodes, EpisodeState, WithSpec, make_generator
 from caterpillar_env.errors import CaterpillarError, check_number, show
@@ -92,7 +93,7 @@ class CaterpillarVectorEnv(
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
-        camera_name: str = "track",
+        camera_name: Camera = "track",
     ) -> None:
         arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         EzPickle.__init__(self, **arguments)

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.drawing.overlay import spring_rgb
-from caterpillar_env.drawing.scenery import CAMERAS, RULER
-from caterpillar_env.errors import CaterpillarError, show
+from caterpillar_env.drawing.scenery import RULER, Camera
+from caterpillar_env.errors import CaterpillarError, check_fields
 from caterpillar_env.ground import TOUCHING_M, clearances_m, half_axes_m, touching_geoms
 from caterpillar_env.model import build_model
-from caterpillar_env.morphology import Body, length_m, segments_of
+from caterpillar_env.morphology import Body, length_m
 from caterpillar_env.physics import Physics
 from caterpillar_env.task import Crawl
 
@@ -55,19 +55,10 @@ class View:
 
     width: int = 640  #: pixels
     height: int = 480  #: pixels
-    camera_name: str = "track"  #: one of `scenery.CAMERAS`
+    camera_name: Camera = "track"  #: all cameras follow the robot
 
     def __post_init__(self) -> None:
-        for name in ("width", "height"):
-            value = getattr(self, name)
-            if not isinstance(value, (int, np.integer)) or not 1 <= value <= 8192:
-                raise CaterpillarError(
-                    f"{name} must be an integer from 1 to 8192 (pixels); got {show(value)}"
-                )
-        if not isinstance(self.camera_name, str) or self.camera_name not in CAMERAS:
-            raise CaterpillarError(
-                f"camera_name must be one of {', '.join(CAMERAS)}; got {show(self.camera_name)}"
-            )
+        check_fields(self, {"width": (1, 8192), "height": (1, 8192)})
 
 
 class RobotRenderer:
@@ -94,7 +85,7 @@ class RobotRenderer:
         self._spring = physics.spring
         self._view = view
         if view_length_m is not None:
-            model.cam_poscom0[:] *= view_length_m / length_m(segments_of(body, physics.num_segments))
+            model.cam_poscom0[:] *= view_length_m / length_m(body, physics.num_segments)
         model.vis.global_.offwidth, model.vis.global_.offheight = view.width, view.height
         self._option = mujoco.MjvOption()
         self._option.sitegroup[:] = 0  # hide the sites at the springs' ends

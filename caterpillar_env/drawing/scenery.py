@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -14,7 +14,6 @@ from caterpillar_env.morphology import Morphology, length_m
 
 #: Cameras that follow the robot, with an oblique view, a side view and a top view.
 Camera = Literal["track", "side", "top"]
-CAMERAS: tuple[Camera, ...] = get_args(Camera)
 RULER = "ruler"
 
 _RULER_CM = (-50, 150)
@@ -69,12 +68,12 @@ def add_cameras(
     up: tuple[float, float, float],
     make: Callable[..., Any],
 ) -> None:
-    """Add the `CAMERAS` by calling `make`, at distances that keep the whole body in view.
+    """Add the cameras by calling `make`, at distances that keep the whole body in view.
 
     The cameras are rotated from z to the direction `up`, so that images show how steep a slope is.
     """
     turn = rotation_to(up)
-    long_m = length_m(segments)
+    long_m = length_m(tuple(segments), len(segments))
     middle_m = segments[0].segment_length_m / 4 - long_m / 2
     for name, (position, axes) in _VIEWS.items():
         x, y, z = turn @ position

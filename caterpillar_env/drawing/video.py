@@ -21,7 +21,7 @@ from caterpillar_env.drawing.rendering import RobotRenderer, View
 from caterpillar_env.drawing.scenery import Camera
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import ELSEWHERE
-from caterpillar_env.morphology import length_m, segments_of
+from caterpillar_env.morphology import length_m
 from caterpillar_env.physics import SMA_STEP_S
 from caterpillar_env.robot import AnyRobot, Outcomes
 from caterpillar_env.task import Failure
@@ -99,7 +99,7 @@ class Recording:
         self.qpos = qpos[:shown]  #: positions after each thermal step, (steps, nq)
         self.temperature_c = np.concatenate([t.temperature_c[0] for t in traces])[:shown]
         self.energy_j = np.concatenate([t.energy_j[0] for t in traces])[:shown]  #: used so far, J
-        self.body_length_m = length_m(segments_of(robot.morphology, robot.physics.num_segments))
+        self.body_length_m = length_m(robot.morphology, robot.physics.num_segments)
 
     @property
     def duration_s(self) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.ground import SKIN
-from caterpillar_env.morphology import length_m, segments_of
+from caterpillar_env.morphology import length_m
 from caterpillar_env.physics import GRAVITY_M_S2, SMA_STEP_S
 from caterpillar_env.robot import Robot
 from caterpillar_env.task import EPISODE_S, Crawl
@@ -56,7 +56,7 @@ def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
     distance_m = float(end.distance_m[0])
     folded = steps[:, 0].reshape(periods, -1).sum(axis=0)
     weight_n = GRAVITY_M_S2 * float(model.body_mass.sum())
-    body_m = length_m(segments_of(robot.morphology, physics.num_segments))
+    body_m = length_m(robot.morphology, physics.num_segments)
     return Gait(
         distance_m=distance_m,
         best_tenth=_cover_best_tenth(folded) / distance_m,

@@ -16,8 +16,8 @@ from caterpillar_env.arrays import Array
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
 from caterpillar_env.model import joint_names
 from caterpillar_env.morphology import PARAMETERS, Body, Morphology, segments_of
-from caterpillar_env.physics import SMA_STEP_S, Physics
-from caterpillar_env.robot import Robot, repeat, stack
+from caterpillar_env.physics import Physics
+from caterpillar_env.robot import Robot, gait_power, repeat, stack
 from caterpillar_env.task import Crawl
 
 FILE = Path(__file__).with_name("evolved.json")
@@ -65,7 +65,7 @@ def farthest_robots(count: int) -> list[Robot]:
 def stack_power(robots: Sequence[Robot]) -> tuple[list[Body], Array]:
     """Return the bodies, and the power over one gait period, (R, steps, springs), see `Crawl.run`."""
     bodies, timings = stack(robots)
-    return bodies, timings.of_springs(robots[0].physics.num_springs).power(SMA_STEP_S)
+    return bodies, gait_power(timings, robots[0].physics)
 
 
 def crawl_for(

@@ -122,7 +122,7 @@ def write_results(history: History, console: Console, *, video: bool) -> None:
 
     best, path = history.best_robot, history.folder / "best.mp4"
     recording = None
-    if best is not None and video and not (path.exists() and is_video_of(path, best)):
+    if best is not None and video and not is_video_of(path, best):
         recording = Recording(best)  # the page uses the same recording
         cli.film(recording, path, console)
     page = run_page.write(history, recording)
@@ -132,7 +132,7 @@ def write_results(history: History, console: Console, *, video: bool) -> None:
     else:
         distance = f"{1000 * (best.fitness_m or 0.0):.1f} mm in 30 s"
         print(f"best: {distance}, evaluation {best.evaluation} in generation {best.generation}")
-        if path.exists() and is_video_of(path, best):
+        if is_video_of(path, best):
             print(f"film: {path}")
     print(f"page: {page}")
     print_commands(history)

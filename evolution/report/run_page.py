@@ -177,6 +177,6 @@ def next_commands(history: History, folder: str) -> list[tuple[str, str]]:
 def _embed_video(history: History) -> str | None:
     """Return the video of the best robot as a data URL, or None if there is none."""
     path, best = history.folder / "best.mp4", history.best_robot
-    if best is None or not path.exists() or not is_video_of(path, best):
+    if best is None or not is_video_of(path, best):
         return None
     return data_url("video/mp4", path.read_bytes())

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, Self
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.robot import Outcomes, follow
+from caterpillar_env.robot import Outcomes, gait_power, repeat
 from caterpillar_env.task import EPISODE_S, Crawl, CrawlState
 from evolution.genome import Encoding
 
@@ -87,7 +87,7 @@ def run_job(
     crawl = Crawl(bodies, encoding.physics, threads)
     if job.start is not None:
         crawl.set_state(job.start)
-    follow(crawl, timings, job.end_s, on_progress=on_progress)
+    repeat(crawl, gait_power(timings, encoding.physics), job.end_s, on_progress=on_progress)
     end = crawl.get_state() if job.end_s < EPISODE_S else None
     return Result(Outcomes.of(crawl.progress()), end)
 

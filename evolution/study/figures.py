@@ -27,14 +27,7 @@ def draw_best(analysis: Analysis) -> Figure:
     time = analysis.grid_s / _KILO
     for arm, colour in _colours(analysis).items():
         runs = analysis.runs[arm]
-        steps_mm = np.array(
-            [
-                np.append(0.0, 1000 * run.best_m)[
-                    np.searchsorted(run.spent_s, analysis.grid_s, side="right")
-                ]
-                for run in runs
-            ]
-        )
+        steps_mm = 1000 * np.array([run.best_at_times(analysis.grid_s) for run in runs])
         for row in steps_mm:
             axis.plot(time, row, color=colour, alpha=0.25, linewidth=0.7)
         low, median, high = np.quantile(steps_mm, [0.25, 0.5, 0.75], axis=0)

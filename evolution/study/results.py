@@ -210,8 +210,12 @@ class Run(NamedTuple):
 
     def best_at(self, time_s: float) -> float:
         """Return the best distance (m) at a simulated time."""
-        count = int(np.searchsorted(self.spent_s, time_s, side="right"))
-        return float(self.best_m[count - 1]) if count else 0.0
+        return float(self.best_at_times(np.array(time_s)))
+
+    def best_at_times(self, time_s: Array) -> Array:
+        """Return the best distances (m) at simulated times, in the shape of `time_s`."""
+        counts = np.searchsorted(self.spent_s, time_s, side="right")
+        return np.append(0.0, self.best_m)[counts]
 
 
 def _find_ends(simulated_s: Array, generation: NDArray[np.int64], stopped: NDArray[np.bool_]) -> Array:

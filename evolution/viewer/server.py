@@ -19,7 +19,7 @@ import viser
 import websockets.asyncio.server
 
 from caterpillar_env.errors import CaterpillarError
-from caterpillar_env.morphology import length_m, segments_of
+from caterpillar_env.morphology import length_m
 from caterpillar_env.robot import Robot
 from evolution.genome import Timing
 from evolution.viewer.page import Page
@@ -62,7 +62,7 @@ class Viewer:
         self._server = _LocalServer(port)
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
         camera = self._server.initial_camera
-        camera.position = _CAMERA * length_m(segments_of(robot.morphology, robot.physics.num_segments))
+        camera.position = _CAMERA * length_m(robot.morphology, robot.physics.num_segments)
         camera.look_at, camera.fov = np.zeros(3), _FIELD_OF_VIEW_RAD
         self._server.on_client_connect(self._connect)
         self._server.on_client_disconnect(self._disconnect)

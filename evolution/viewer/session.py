@@ -24,7 +24,7 @@ class Session:
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
-        self._power = _power(robot)
+        self._power = robot.power()
         self.reset()
 
     def reset(self) -> None:
@@ -38,7 +38,7 @@ class Session:
 
         A new body or new physics restarts it; a new gait does not.
         """
-        self._power = _power(robot)
+        self._power = robot.power()
         old, self.robot = self.robot, robot
         restarted = robot.physics != old.physics or robot.morphology != old.morphology
         if restarted:
@@ -88,9 +88,3 @@ class Session:
     def finished(self) -> bool:
         """Whether the robot has failed or has crawled for 30 s."""
         return self.failure is not Failure.NONE or self._intervals == _INTERVALS
-
-
-def _power(robot: Robot) -> Array:
-    """Check the gait period of a robot. Return the power over one period, (steps, springs)."""
-    count_steps(robot.timings.period_s, CONTROL_INTERVAL_S, "the gait period")
-    return robot.power()

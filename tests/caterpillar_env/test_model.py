@@ -1,13 +1,14 @@
 import itertools
 import math
 from dataclasses import replace
+from typing import get_args
 
 import mujoco
 import numpy as np
 import pytest
 
 from caterpillar_env import Morphology, Physics, SmaSpring
-from caterpillar_env.drawing.scenery import CAMERAS
+from caterpillar_env.drawing.scenery import Camera
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.gait import spring_names
 from caterpillar_env.ground import STANCE_M
@@ -404,7 +405,7 @@ def test_xml_compiles_to_a_bitwise_identical_model(body, physics):
 
 def test_xml_has_the_scenery():
     read = mujoco.MjModel.from_xml_string(model_xml(BODY, Physics()))
-    assert [read.camera(number).name for number in range(read.ncam)] == list(CAMERAS)
+    assert [read.camera(number).name for number in range(read.ncam)] == list(get_args(Camera))
     assert read.nlight == 1
     assert read.geom("ground").matid[0] == read.material("squares").id
     assert (read.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE).sum() == 8  # legs

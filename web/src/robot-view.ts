@@ -86,7 +86,7 @@ export class RobotView {
     const hip = new THREE.Vector3(0, 0.6 * foot.position.y, 0);
     const along = foot.position.clone().sub(hip);
     const leg = new THREE.Mesh(
-      new THREE.CylinderGeometry(0.0011, 0.0011, along.length()),
+      new THREE.CylinderGeometry(0.0012, 0.0012, along.length()),
       new THREE.MeshStandardMaterial({ color: "#5a665e" }),
     );
     leg.position.copy(hip).addScaledVector(along, 0.5);

@@ -3,6 +3,7 @@ import re
 import subprocess
 import sys
 import warnings
+from typing import get_args
 
 import mujoco
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from caterpillar_env import CaterpillarEnv, CaterpillarVectorEnv, Morphology, Physics
 from caterpillar_env.drawing import rendering
 from caterpillar_env.drawing.rendering import Pictures, RobotRenderer, View, choose_backend
-from caterpillar_env.drawing.scenery import CAMERAS, RULER
+from caterpillar_env.drawing.scenery import RULER, Camera
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.task import Crawl
 
@@ -175,7 +176,7 @@ def test_nothing_is_drawn_without_a_render_mode():
     assert CaterpillarVectorEnv(2).render() is None
 
 
-@pytest.mark.parametrize("camera", CAMERAS)
+@pytest.mark.parametrize("camera", get_args(Camera))
 def test_every_camera_shows_the_robot_differently(camera):
     env = drawing_env("rgb_array", camera_name=camera)
     picture = env.render().astype(int)
@@ -190,9 +191,9 @@ def test_every_camera_shows_the_robot_differently(camera):
 @pytest.mark.parametrize(
     ("wrong", "match"),
     [
-        ({"camera_name": "front"}, "camera_name must be one of track, side, top; got 'front'"),
-        ({"width": 0}, r"width must be an integer from 1 to 8192 \(pixels\); got 0"),
-        ({"height": 4.5}, r"height .* got 4\.5"),
+        ({"camera_name": "front"}, "camera_name = 'front' must be one of track, side, top"),
+        ({"width": 0}, "width = 0 must be an integer from 1 to 8192"),
+        ({"height": 4.5}, "height = 4.5 must be an integer"),
     ],
 )
 def test_invalid_views_are_rejected_at_once(kind, wrong, match):

@@ -1,8 +1,10 @@
+from typing import get_args
+
 import mujoco
 import numpy as np
 import pytest
 
-from caterpillar_env.drawing.scenery import _PIXELS_PER_CM, _RULER_CM, CAMERAS, RULER, _ruler_picture
+from caterpillar_env.drawing.scenery import _PIXELS_PER_CM, _RULER_CM, RULER, Camera, _ruler_picture
 from caterpillar_env.model import build_model
 from caterpillar_env.morphology import Morphology
 from caterpillar_env.physics import Physics
@@ -16,7 +18,7 @@ def built(body=None, **kwargs):
 
 def test_cameras_follow_the_robot_and_look_at_it():
     model = built()
-    assert tuple(model.camera(i).name for i in range(model.ncam)) == CAMERAS
+    assert tuple(model.camera(i).name for i in range(model.ncam)) == get_args(Camera)
     assert (model.cam_mode == mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM).all()
     data = mujoco.MjData(model)
     data.qpos[:2] = 1.0, -0.5
