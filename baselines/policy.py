@@ -13,7 +13,6 @@ from typing import Any, Literal
 import numpy as np
 import stable_baselines3
 import torch
-from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import NormalActionNoise
@@ -69,30 +68,20 @@ def make_model(config: TrainConfig, robots: CaterpillarVecEnv) -> BaseAlgorithm:
     return algorithm(env=env, seed=config.seed, device="cpu", verbose=0, **arguments)
 
 
-class RandomActor:
-    """Policy that samples every action uniformly from the action space."""
-
-    def __init__(self, space: spaces.Space[Any], seed: int) -> None:
-        self._space = space
-        space.seed(seed)
-
-    def predict(self, observation: Any, deterministic: bool = False) -> tuple[NDArray[Any], None]:
-        """Return one action per observation, and None as the state."""
-        return np.array([self._space.sample() for _ in observation]), None
-
-
 @dataclass(frozen=True)
 class Policy:
-    """A policy and its interface to the robots. Without an interface, it acts on them directly."""
+    """A policy and its interface to the robots."""
 
-    actor: BaseAlgorithm | RandomActor
-    interface: Interface | None
+    actor: BaseAlgorithm
+    interface: Interface
 
     @classmethod
     def of(cls, model: BaseAlgorithm) -> Policy:
         """Return the policy of an algorithm. It changes as the algorithm learns."""
         env = model.get_env()
-        return cls(model, None if env is None else unwrap_vec_wrapper(env, Interface))
+        interface = None if env is None else unwrap_vec_wrapper(env, Interface)
+        assert isinstance(interface, Interface)
+        return cls(model, interface)
 
     @classmethod
     def load(cls, path: Path, config: TrainConfig) -> Policy:
@@ -115,7 +104,6 @@ class Policy:
             raise CaterpillarError(
                 f"cannot read the policy {path}: {why}; restore a copy of it, or train it again"
             ) from None
-        assert isinstance(policy.actor, BaseAlgorithm)
         weights = {name: torch.from_numpy(array) for name, array in arrays.items()}
         policy.actor.policy.load_state_dict(weights)
         return policy
@@ -132,7 +120,6 @@ class Policy:
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         """Return the content of a file: the weights by name."""
-        assert isinstance(self.actor, BaseAlgorithm)
         return {name: weight.numpy() for name, weight in self.actor.policy.state_dict().items()}
 
     @property
@@ -145,8 +132,6 @@ class Policy:
 
     def act(self, observations: Any) -> NDArray[Any]:
         """Return the deterministic actions of the policy for observations of the environment, (R, n)."""
-        if self.interface is None:
-            return self.actor.predict(observations, deterministic=True)[0]
         seen = self.interface.observe(observations)
         return self.interface.act(self.actor.predict(seen, deterministic=True)[0], observations)
 
@@ -261,16 +246,10 @@ class TrainedRobot:
             )
         return cls(policy, config, body, physics, fitness_m)
 
-    def simulate(self, *, on_interval: OnInterval | None = None, seed: int | None = None) -> Outcomes:
-        """Run one episode.
-
-        Args:
-            on_interval: see `CaterpillarEnv`.
-            seed: seed of the episode; by default the seed of the training run.
-        """
+    def simulate(self, *, on_interval: OnInterval | None = None) -> Outcomes:
+        """Run one episode. For `on_interval`, see `CaterpillarEnv`."""
         env = make_env(self.config, physics=self.physics)
-        seed = self.config.seed if seed is None else seed
-        return self.policy.crawl(env, seed, self.morphology, on_interval)
+        return self.policy.crawl(env, self.config.seed, self.morphology, on_interval)
 
     def with_physics(self, **changes: Any) -> TrainedRobot:
         """Return a copy of the robot with changed fields of `Physics`."""
