@@ -69,17 +69,11 @@ def follow(run: Callable[..., Training], config: TrainConfig, video: bool) -> in
     console = cli.console()
     with cli.bar(console) as bar:
         task = bar.add_task("training", total=config.budget_s)
-        start_s: float | None = None  # simulated before this session
 
         def show(history: History) -> None:
-            nonlocal start_s
             latest, best = history.evaluations[-1], history.best
-            if start_s is None:
-                start_s = history.simulated_s - latest.simulated_s
             best_text = "none yet" if best is None else f"{1000 * best.distance_m:.1f} mm"
-            done_s, elapsed_s = history.simulated_s - start_s, bar.tasks[0].elapsed or 0.0
-            left_s = elapsed_s * (config.budget_s - history.simulated_s) / done_s
-            left = "" if console.is_terminal else f", left {max(left_s, 0.0) / 60:.0f} min"
+            left = cli.time_left(bar, console)
             bar.update(task, description=f"training, best {best_text}")
             console.print(
                 f"{100 * history.simulated_s / config.budget_s:3.0f} %{left}  simulated "

@@ -195,6 +195,14 @@ def bar(console: Console) -> Progress:
     )  # fmt: skip
 
 
+def time_left(bar: Progress, console: Console) -> str:
+    """Return the estimated time left for a line of text, or "" on a terminal, where the bar shows it."""
+    left_s = bar.tasks[0].time_remaining
+    if console.is_terminal or left_s is None:
+        return ""
+    return f", {left_s / 60:.{0 if left_s > 600 else 1}f} min left"
+
+
 def print_table(table: Table, width: int = 150) -> None:
     """Print a table to stdout: as wide as the terminal, or with `width` characters in a file or pipe."""
     from rich.console import Console

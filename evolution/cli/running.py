@@ -95,10 +95,7 @@ class Reporter:
             f"mean {1000 * generation.mean_m:5.1f} mm  failed: {failures}  "
             f"simulated {generation.simulated_s:,.0f} s  {100 * done:.0f} % done"
         )
-        seconds = self._bar.tasks[0].time_remaining
-        if seconds and not self._console.is_terminal:
-            line += f", {seconds / 60:.1f} min left"
-        self._console.print(line)
+        self._console.print(line + cli.time_left(self._bar, self._console))
 
     def progress(self, share: float) -> None:
         """Report the share of the current generation that is evaluated."""

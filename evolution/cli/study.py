@@ -74,10 +74,10 @@ def study_command(argv: Sequence[str]) -> int:
             def show(ended: int, share: float) -> None:
                 nonlocal shown
                 bar.update(task, completed=share, description=f"{ended} of {cells} runs")
-                percent, left_s = int(100 * share), bar.tasks[0].time_remaining
+                percent = int(100 * share)
                 if percent > shown and not console.is_terminal:
                     shown = percent
-                    left = "" if left_s is None else f", left {left_s / 60:.0f} min"
+                    left = cli.time_left(bar, console)
                     console.print(f"{ended} of {cells} runs, {percent} %{left}")
 
             failed = run_study(config, folder, workers, show)

@@ -112,8 +112,10 @@ def test_failures_count_as_0_in_the_median(folder, capsys, monkeypatch):
 def test_train_estimates_the_time_left(tmp_path, capsys, monkeypatch):
     now_s = [0.0]
 
-    def train(config, folder, *, on_evaluation, **others):
-        now_s[0] = 600.0
+    def train(config, folder, *, on_evaluation, on_progress, **others):
+        on_progress(1.0)
+        now_s[0] = 250.0
+        on_progress(config.budget_s / 4)
         spent_s = config.budget_s / 4
         evaluation = SimpleNamespace(distance_m=0.01, failure=Failure.NONE, simulated_s=spent_s)
         history = SimpleNamespace(
@@ -124,10 +126,11 @@ def test_train_estimates_the_time_left(tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr("baselines.cli.train.train", train)
     monkeypatch.setattr(
-        "evolution.cli.bar", lambda console: Progress(disable=True, get_time=lambda: now_s[0])
+        "evolution.cli.bar",
+        lambda console: Progress(disable=True, get_time=lambda: now_s[0], speed_estimate_period=300.0),
     )
     assert cli.main(["rl", "train", "--out", str(tmp_path / "run")]) == 0
-    assert capsys.readouterr().err.startswith(" 25 %, left 30 min  simulated 7,500 s")
+    assert capsys.readouterr().err.startswith(" 25 %, 13 min left  simulated 7,500 s")
 
 
 def test_stopped_training_is_listed_and_resumed(tmp_path, capsys, monkeypatch):

@@ -63,7 +63,8 @@ def test_video_is_written_unless_it_already_shows_the_best_robot(run, monkeypatc
     monkeypatch.setattr(cli, "film", lambda *arguments: made.append(arguments))
     monkeypatch.setattr("evolution.report.run_page.write", lambda history, _: path)
     monkeypatch.setattr(
-        "caterpillar_env.drawing.video.is_video_of", lambda path, robot: path.read_bytes() == b"it"
+        "caterpillar_env.drawing.video.is_video_of",
+        lambda path, robot: path.exists() and path.read_bytes() == b"it",
     )
     running.write_results(history, console, video=True)
     path.write_bytes(b"another robot")
