@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -39,6 +39,8 @@ from caterpillar_env.gait import (
 from caterpillar_env.morphology import PARAMETERS, Body, Morphology
 from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
 from caterpillar_env.robot import Robot
+
+T = TypeVar("T", float, Array)
 
 GenomeKind = Literal["shared", "full", "per-segment"]
 Timing = Literal["on-off", "phase", "wave"]
@@ -71,6 +73,10 @@ class Gene(NamedTuple):
     def shown(self) -> tuple[float, str]:
         """The factor that converts values to the display unit, and this unit, such as mm, g, ° or %."""
         return _DISPLAY_UNITS.get(self.unit, (1.0, self.unit))
+
+    def value(self, share: T) -> T:
+        """Convert a number or an array from [0, 1] to SI units."""
+        return self.lower + share * (self.upper - self.lower)
 
 
 @dataclass(frozen=True)

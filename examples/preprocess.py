@@ -13,17 +13,11 @@ gene, prior = config.encoding.genes[index], config.distributions()[index]
 unit = np.linspace(0, 1, 201)
 samples = prior.sample(np.random.default_rng(0), 2000)
 
-
-def to_mm(share: np.ndarray) -> np.ndarray:
-    """Convert from [0, 1] to mm."""
-    return 1000 * (gene.lower + share * (gene.upper - gene.lower))
-
-
 figure = Figure(figsize=(6, 3), layout="constrained")
 axis = figure.subplots()
 width_mm = 1000 * (gene.upper - gene.lower)
-axis.hist(to_mm(samples), bins=20, density=True, alpha=0.3, label="2,000 samples")
-axis.plot(to_mm(unit), prior.density(unit) / width_mm, label="density")
+axis.hist(1000 * gene.value(samples), bins=20, density=True, alpha=0.3, label="2,000 samples")
+axis.plot(1000 * gene.value(unit), prior.density(unit) / width_mm, label="density")
 axis.set(xlabel=f"{GENE.removesuffix('_m').replace('_', ' ')}, mm", ylabel="density, 1/mm")
 axis.legend()
 figure.savefig("prior.png", dpi=120)

@@ -75,17 +75,28 @@ class GenePrior:
     signs: tuple[tuple[str, int], ...]
     reason: str
 
+    @property
+    def peak(self) -> float | None:
+        """Value with the highest density, in SI units, or None if the distribution is uniform."""
+        d = self.distribution
+        return self.gene.value(d.mu) if isinstance(d, Gaussian) else None
+
+    @property
+    def width(self) -> float | None:
+        """Parameter sigma of the Gaussian, in SI units, or None if the distribution is uniform."""
+        d = self.distribution
+        return d.sigma * (self.gene.upper - self.gene.lower) if isinstance(d, Gaussian) else None
+
     def to_dict(self) -> dict[str, str | float | None]:
         """Return plain data for JSON. mu and sigma are in the gene's unit; None if uniform."""
         gene, d = self.gene, self.distribution
-        span = gene.upper - gene.lower
         return {
             "gene": gene.name,
             "symbol": gene.symbol,
             "unit": gene.unit,
             "kind": d.kind if isinstance(d, Gaussian) else "uniform",
-            "mu": gene.lower + d.mu * span if isinstance(d, Gaussian) else None,
-            "sigma": d.sigma * span if isinstance(d, Gaussian) else None,
+            "mu": self.peak,
+            "sigma": self.width,
             "lower": gene.lower,
             "upper": gene.upper,
             "reason": self.reason,
@@ -185,9 +196,7 @@ def _make_prior(
         node = int(np.argmax(agreed))
     elif len(set(wanted.values())) > 1:
         factor, unit = gene.shown
-        values = {
-            k: factor * (gene.lower + n / last * (gene.upper - gene.lower)) for k, n in wanted.items()
-        }
+        values = {k: factor * gene.value(n / last) for k, n in wanted.items()}
         wishes = "; ".join(f"{k} wants {value:.3g} {unit}" for k, value in values.items())
         if contradictions == "uniform":
             return GenePrior(gene, Uniform(), signs, f"contradiction: {wishes}")

@@ -149,7 +149,7 @@ def densities(priors: Sequence[GenePrior]) -> Figure:
         gene = prior.gene
         factor, unit = gene.shown
         density = prior.distribution.density(shares)
-        values = factor * (gene.lower + shares * (gene.upper - gene.lower))
+        values = factor * gene.value(shares)
         axis.fill_between(values, density, alpha=0.3)
         axis.plot(values, density)
         axis.set(title=gene.title, xlabel=unit, ylim=(0, None))

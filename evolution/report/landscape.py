@@ -75,10 +75,7 @@ def draw(landscape: Landscape) -> Figure:
     left, right = figure.subplots(1, 2)
     away = landscape.shares - landscape.best[:, None]
     sphere = 1.0 - (away[0][:, None] ** 2 + away[1] ** 2)
-    x, y = (
-        gene.shown[0] * (gene.lower + landscape.shares * (gene.upper - gene.lower))
-        for gene in landscape.genes
-    )
+    x, y = (gene.shown[0] * gene.value(landscape.shares) for gene in landscape.genes)
     titles = (
         "robots that differ from the best one in two genes (grey: failed)",
         "sphere function, for comparison",

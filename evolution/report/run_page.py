@@ -19,7 +19,6 @@ from caterpillar_env.task import EPISODE_S, Failure
 from caterpillar_env.validation.gaits import measure_gait
 from evolution.config import RunConfig
 from evolution.objective import stopped
-from evolution.priors.distributions import Gaussian
 from evolution.report import figures as draw
 from evolution.report.page import data_url, render
 from evolution.report.replay import encode
@@ -125,13 +124,9 @@ def gene_rows(history: History) -> list[GeneRow]:
     (values,) = config.encoding.values(best.genome).tolist()
     rows = []
     for row, value in zip(config.priors(), values, strict=True):
-        gene, prior = row.gene, row.distribution
-        factor, unit = gene.shown
-        peak = width = None
-        if isinstance(prior, Gaussian):
-            span = gene.upper - gene.lower
-            peak, width = factor * (gene.lower + prior.mu * span), factor * prior.sigma * span
+        gene, (factor, unit) = row.gene, row.gene.shown
         bounds = factor * gene.lower, factor * gene.upper
+        peak, width = (None if x is None else factor * x for x in (row.peak, row.width))
         rows.append(GeneRow(gene.title, unit, factor * value, *bounds, peak, width))
     return rows
 
