@@ -110,7 +110,7 @@ def compare_winners(folder: Path) -> None:
     winners: dict[str, list[Robot]] = {}
     for name, runs in read_runs(collect(config, folder).table, config).items():
         for run in runs:
-            robot = load_winner(config, folder, name, run) if run.best_at(np.inf) > 0 else None
+            robot = load_winner(config, folder, name, run) if run.best_at(config.budget_s) > 0 else None
             if isinstance(robot, Robot):
                 save_winner(robot, folder, Cell(name, run.seed))
                 winners.setdefault(name, []).append(robot)

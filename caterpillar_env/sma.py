@@ -27,8 +27,8 @@ from caterpillar_env.errors import CaterpillarError, check_fields
 
 #: Number of temperatures at which each branch is tabulated.
 NODES = 1025
-_PERIODS = 11  #: smallest number of periods until the temperatures are periodic
-_TIME_CONSTANTS = 20  #: smallest duration until the temperatures are periodic, in time constants
+_PERIODS = (11, 1000)  #: smallest and largest number of periods until the temperatures are periodic
+_TIME_CONSTANTS = 20  #: duration until the temperatures are periodic, in time constants
 _TEMPERATURES = (-273.15, 2000.0)
 #: Bounds of the parameters. Most are at least a factor of 100 beyond plausible values. Outside the
 #: bounds, the simulation could overflow.
@@ -303,11 +303,12 @@ def _integrate(
 def settle(spring: SmaSpring, power: Array, step_s: float) -> SmaSteps:
     """Simulate a periodic power, starting cold, and return the last period.
 
-    The temperatures are periodic by then. For the arguments, see `advance`; `power` covers one period.
+    The temperatures are periodic by then, unless the spring needs more than 1000 periods. For the
+    arguments, see `advance`; `power` covers one period.
     """
     state = SmaState.cold(spring, power.shape[1:])
-    shortest_s = _TIME_CONSTANTS * spring.time_constant_s
-    for _ in range(max(_PERIODS, math.ceil(shortest_s / (len(power) * step_s)))):
+    needed = math.ceil(_TIME_CONSTANTS * spring.time_constant_s / (len(power) * step_s))
+    for _ in range(min(max(needed, _PERIODS[0]), _PERIODS[1])):
         step = advance(spring, state, power, step_s)
         state = step.state
     return step

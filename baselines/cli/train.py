@@ -73,8 +73,8 @@ def follow(run: Callable[..., Training], config: TrainConfig, video: bool) -> in
         def show(history: History) -> None:
             latest, best = history.evaluations[-1], history.best
             best_text = "none yet" if best is None else f"{1000 * best.distance_m:.1f} mm"
+            bar.update(task, completed=history.simulated_s, description=f"training, best {best_text}")
             left = cli.time_left(bar, console)
-            bar.update(task, description=f"training, best {best_text}")
             console.print(
                 f"{100 * history.simulated_s / config.budget_s:3.0f} %{left}  simulated "
                 f"{history.simulated_s:,.0f} s  deterministic policy: {1000 * latest.distance_m:.1f} mm "

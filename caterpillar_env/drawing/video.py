@@ -183,14 +183,18 @@ def open_video(
         "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(rate), "-i", "-",
         *options, "-metadata", f"comment={comment}", f"file:{partial}",
     ]  # fmt: skip
-    # Ctrl-C reaches all processes of a group. In its own group, ffmpeg does not stop.
+    # Ctrl-C stops all processes of a group, so ffmpeg gets its own group.
     with tempfile.TemporaryFile() as messages:
         try:
             with subprocess.Popen(
                 command, stdin=subprocess.PIPE, stderr=messages, process_group=0
             ) as process:
                 assert process.stdin is not None
-                yield cast(Callable[[NDArray[np.uint8]], object], process.stdin.write)
+                try:
+                    yield cast(Callable[[NDArray[np.uint8]], object], process.stdin.write)
+                except KeyboardInterrupt:
+                    process.kill()
+                    raise
             if process.returncode != 0:
                 raise OSError(f"ffmpeg ended with status {process.returncode}")
             os.replace(partial, path)

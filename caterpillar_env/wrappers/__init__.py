@@ -84,8 +84,10 @@ class RecordVideo(wrappers.RecordVideo[Any, Any]):
             super().stop_recording()  # type: ignore[no-untyped-call]
 
     def _draw(self) -> None:
-        self.recorded_frames.append(self._source.render())
-        self._drawn = True
+        frame = self._source.render()
+        if frame is not None:  # Gymnasium stops recording at the end of the step otherwise
+            self.recorded_frames.append(frame)
+            self._drawn = True
 
     def _capture_frame(self) -> None:
         """Record the state after a step or a reset."""

@@ -8,6 +8,7 @@ from typing import Any
 from gymnasium.vector import VectorEnv
 from gymnasium.wrappers import vector
 
+from caterpillar_env.drawing import rendering
 from caterpillar_env.vector_env import CaterpillarVectorEnv
 from caterpillar_env.wrappers import FRAMES_PER_SECOND, check_kind, every_interval, write_frames
 
@@ -71,13 +72,21 @@ class RecordVideo(vector.RecordVideo[Any, Any]):
             super().stop_recording()
 
     def _draw(self) -> None:
-        super()._capture_frame()
-        self._drawn = True
+        if self.recording:
+            self._add_frame()
+            self._drawn = True
 
     def _capture_frame(self) -> None:
-        """Record the state after a step or a reset. Without a drawing backend, stop recording."""
+        """Record the state after a step or a reset."""
         drawn, self._drawn = self._drawn and bool(self.recorded_frames), False
-        if not drawn and not self.recorded_frames and self.env.render() is None:
-            self.stop_recording()
-        elif not drawn:
+        if not drawn:
+            self._add_frame()
+
+    def _add_frame(self) -> None:
+        """Record the current state. On a machine that cannot draw, stop recording."""
+        try:
             super()._capture_frame()
+        except AssertionError:  # Gymnasium expects a sequence of frames
+            if rendering.unavailable is None:
+                raise
+            self.stop_recording()

@@ -191,14 +191,14 @@ def bar(console: Console) -> Progress:
     return Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.0f} %, time left"),
         TimeRemainingColumn(), console=console, disable=not console.is_terminal,
-        speed_estimate_period=300.0,  # seconds; the parts of a long run do not end at a steady rate
+        speed_estimate_period=300.0,  # seconds; uses the last 1000 updates at most
     )  # fmt: skip
 
 
 def time_left(bar: Progress, console: Console) -> str:
     """Return the estimated time left for a line of text, or "" on a terminal, where the bar shows it."""
     left_s = bar.tasks[0].time_remaining
-    if console.is_terminal or left_s is None:
+    if console.is_terminal or not left_s:
         return ""
     return f", {left_s / 60:.{0 if left_s > 600 else 1}f} min left"
 

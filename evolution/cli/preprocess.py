@@ -15,7 +15,7 @@ from caterpillar_env.gait import GAIT_PERIOD_S
 from caterpillar_env.physics import Physics
 from evolution import cli
 from evolution.genome import Encoding, GenomeKind, Timing
-from evolution.priors import Control, Prior, make_priors, searches
+from evolution.priors import Control, Prior, Without, make_priors, searches
 from evolution.priors.distributions import Clipping
 from evolution.priors.preprocessor import Contradictions, GenePrior, Search
 
@@ -42,6 +42,8 @@ class PreprocessArgs:
     control: Control = "none"
     """Deliberately misleading prior. mirrored: peaks reflected; shuffled: distributions permuted,
     as in a run with the seed 0."""
+    without: Without = "none"
+    """Name of a design parameter to leave out, such as "lifting moment"."""
     contradictions: Contradictions = "uniform"
     """Prior of a gene on which two design parameters disagree. product: a Gaussian with its peak where
     the product of the design parameters is largest."""
@@ -69,8 +71,9 @@ def preprocess_command(argv: Sequence[str]) -> int:
         clipping=args.clipping,
         contradictions=args.contradictions,
         control=args.control,
+        without=args.without,
     )
-    found = searches(encoding, args.prior)
+    found = searches(encoding, args.prior, args.without)
     if args.json:
         print(json.dumps([prior.to_dict() for prior in priors], indent=2))
     else:

@@ -62,9 +62,9 @@ def _make_wave(encoding: Encoding) -> Encoding:
     return replace(encoding, kind="shared", timing="wave")
 
 
-def searches(encoding: Encoding, prior: Prior) -> list[Search]:
+def searches(encoding: Encoding, prior: Prior, without: Without = "none") -> list[Search]:
     """Maximize each K_i of a prior by grid search, and return the results."""
-    return search_all(design_parameters(encoding, prior), _make_wave(encoding).genes)
+    return search_all(design_parameters(encoding, prior, without), _make_wave(encoding).genes)
 
 
 def make_priors(

@@ -29,7 +29,7 @@ GRID_NODES = 10  #: "approximately ten nodes per gene", Saunders 2009, section I
 _TIE = 1e-9  #: largest difference of equal values, relative to the range of K_i
 
 #: What to do with a gene on which two K_i disagree: keep it uniform, as in the paper, or put the peak at
-#: the node where the product of the normalized K_i is largest.
+#: the node where the product of the normalized K_i is largest, unless the product is 0 everywhere.
 Contradictions = Literal["uniform", "product"]
 
 
@@ -118,8 +118,8 @@ def search_grid(k: DesignParameter, genes: tuple[Gene, ...]) -> Search:
     for axis, name in enumerate(k.gene_names):
         if np.all(np.ptp(values, axis=axis) == 0):
             raise CaterpillarError(
-                f"{k.name} does not depend on {name}; leave out {k.name} (prior_without), or remove "
-                f"{name} from its gene_names"
+                f"{k.name} does not depend on {name}; leave out {k.name}, or remove {name} from "
+                "its gene_names"
             )
     best = np.unravel_index(int(np.argmax(values)), values.shape)
     return Search(k, genes, nodes, values, tuple(map(int, best)))
@@ -171,7 +171,8 @@ def preprocess(
         contradictions: what to do with genes on which two K_i disagree, see `Contradictions`.
 
     Raises:
-        CaterpillarError: see `search_all`.
+        CaterpillarError: see `search_all`. With "product", a K_i that disagrees with another one has no
+            positive value.
     """
     check_floor_ratio(floor_ratio)
     searches = search_all(parameters, genes)
@@ -183,18 +184,18 @@ def _make_prior(
 ) -> GenePrior:
     name, last = gene.parameter, GRID_NODES if gene.circular else GRID_NODES - 1
     found = [search for search in searches if name in search.parameter.gene_names]
-    wanted = {search.parameter.name: search.node(name) for search in found}
-    signs = tuple(
-        (k, 0 if gene.circular else 1 if 2 * node > last else -1) for k, node in wanted.items()
-    )
     if not found:
-        return GenePrior(gene, Uniform(), signs, "in no design parameter")
-    node, reason = next(iter(wanted.values())), f"best node of {' and '.join(wanted)}"
+        return GenePrior(gene, Uniform(), (), "in no design parameter")
+    wanted = {search.parameter.name: search.node(name) for search in found}
     profiles = {search.parameter.name: search.profile(name) for search in found}
     agreed = np.all([k >= k.max() - _TIE * np.ptp(k) for k in profiles.values()], axis=0)
     if len(set(wanted.values())) > 1 and agreed.any():  # some K_i have their maximum at several nodes
-        node = int(np.argmax(agreed))
-    elif len(set(wanted.values())) > 1:
+        wanted = dict.fromkeys(wanted, int(np.argmax(agreed)))
+    signs = tuple(
+        (k, 0 if gene.circular else 1 if 2 * node > last else -1) for k, node in wanted.items()
+    )
+    node, reason = next(iter(wanted.values())), f"best node of {' and '.join(wanted)}"
+    if len(set(wanted.values())) > 1:
         factor, unit = gene.shown
         values = {k: factor * gene.value(n / last) for k, n in wanted.items()}
         wishes = "; ".join(f"{k} wants {value:.3g} {unit}" for k, value in values.items())

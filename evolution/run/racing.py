@@ -44,7 +44,7 @@ def race(
         CaterpillarError: the objective returned a wrong shape or non-finite values.
     """
     encoding, stop_s = config.encoding, config.race_periods * config.gait_period_s
-    count = math.ceil(round(config.race_share * len(genomes), 9))  # 0.07 * 100 is above 7
+    count = count_leaders(config.race_share, len(genomes))
     first_s = stop_s * len(genomes)
     first_share = first_s / (first_s + (EPISODE_S - stop_s) * count)  # share of the simulated time
     jobs = [Job(chunk, stop_s) for chunk in evaluator.split(genomes)]
@@ -58,6 +58,11 @@ def race(
         for name, values in result.outcomes._asdict().items():
             getattr(outcomes, name)[rows] = values
     return outcomes
+
+
+def count_leaders(share: float, robots: int) -> int:
+    """Return the number of robots that continue: their share, rounded up."""
+    return math.ceil(round(share * robots, 9))  # 0.07 * 100 is slightly more than 7
 
 
 def leaders(fitness: Array, count: int) -> Rows:

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rich.progress import Progress
 
 from baselines.config import Training
 from baselines.policy import TrainedRobot
@@ -125,10 +124,14 @@ def test_train_estimates_the_time_left(tmp_path, capsys, monkeypatch):
         return SimpleNamespace(history=history)
 
     monkeypatch.setattr("baselines.cli.train.train", train)
-    monkeypatch.setattr(
-        "evolution.cli.bar",
-        lambda console: Progress(disable=True, get_time=lambda: now_s[0], speed_estimate_period=300.0),
-    )
+    make_bar = cli.bar
+
+    def make_timed_bar(console):
+        bar = make_bar(console)
+        bar.get_time = lambda: now_s[0]
+        return bar
+
+    monkeypatch.setattr(cli, "bar", make_timed_bar)
     assert cli.main(["rl", "train", "--out", str(tmp_path / "run")]) == 0
     assert capsys.readouterr().err.startswith(" 25 %, 13 min left  simulated 7,500 s")
 

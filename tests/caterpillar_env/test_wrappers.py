@@ -198,7 +198,11 @@ def test_training_goes_on_without_videos_on_a_machine_that_cannot_draw(wrap, tmp
     monkeypatch.setattr(rendering, "unavailable", "no device")
     env = wrap(make() if wrap is RecordVideo else make_vec(), str(tmp_path), episode_trigger=always)
     env.reset(seed=0)
-    env.step(ACTION if wrap is RecordVideo else np.tile(ACTION, (2, 1)))
+    for manual in (False, True):
+        if manual:
+            env.start_recording("mine")
+        env.step(ACTION if wrap is RecordVideo else np.tile(ACTION, (2, 1)))
+        assert not env.recording
     env.close()
     assert list(tmp_path.iterdir()) == []
 

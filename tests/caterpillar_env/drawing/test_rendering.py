@@ -286,6 +286,13 @@ def test_everything_except_rendering_works_with_one_warning(broken):
     assert len(broken) == 1  # a second attempt may crash Python
 
 
+def test_drawing_can_be_switched_off(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    monkeypatch.setattr(rendering, "unavailable", None)
+    with pytest.warns(UserWarning, match="unset MUJOCO_GL, which disables rendering"):
+        assert drawing_env("rgb_array").render() is None
+
+
 @pytest.mark.parametrize("world", ["slope", "steps", "rough", "patches"])
 def test_every_world_is_drawn(world):
     frames = {}

@@ -63,7 +63,6 @@ def test_springs_that_never_cool_do_not_advance():
     assert abs(hot[0]) < 0.002
 
 
-@pytest.mark.slow
 def test_spring_that_is_always_powered_stays_hot():
     on_s = np.array([[0.0, 2.5, 3.3, 0.8, 1.7, 4.2]])
     off_s = on_s + 1.0
@@ -77,6 +76,7 @@ def test_spring_that_is_always_powered_stays_hot():
     assert abs(always - never) > 1e-3
 
 
+@pytest.mark.slow
 def test_advance_ranks_gaits_as_the_simulator_does():
     # `python -m benchmarks.advance` compares 200 gaits; 30 gaits scatter about its correlation.
     rng = np.random.default_rng(3)

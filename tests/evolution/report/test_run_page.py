@@ -187,6 +187,19 @@ def test_video_is_embedded_if_it_shows_the_best_robot(folder, measured_once, mon
         film.unlink()
 
 
+def test_gait_is_measured_only_if_the_best_robot_moves_forwards(page, invented, tmp_path):
+    class Backwards(LocalEvaluator):
+        def map(self, encoding, jobs, on_progress=None):
+            for result in invented.map(encoding, jobs):
+                outcomes = result.outcomes
+                backwards_m = -np.ones_like(outcomes.distance_m)
+                yield result._replace(outcomes=outcomes._replace(distance_m=backwards_m))
+
+    evolve(SHORT, tmp_path, evaluator=Backwards(), objective=lambda outcomes: -outcomes.energy_j)
+    assert "How it moves" in page
+    assert "How it moves" not in read_page(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("config", "text"),
     [

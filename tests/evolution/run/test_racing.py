@@ -12,7 +12,7 @@ from evolution import History, RunConfig, evolve, resume
 from evolution.objective import distance, find_best, stopped
 from evolution.optimizers.ga import GaConfig
 from evolution.run.evaluators import Job, LocalEvaluator, evaluate, run_job
-from evolution.run.racing import leaders, race
+from evolution.run.racing import count_leaders, leaders, race
 
 CONFIG = RunConfig(
     generations=2, timing="wave", race_share=0.3, ga=GaConfig(population=7, hall_of_fame=1),
@@ -45,6 +45,11 @@ def test_leaders_are_the_best_in_order_of_their_index():
     assert leaders(fitness, 3).tolist() == [1, 2, 3]
     assert leaders(np.full(3, 0.2), 2).tolist() == [0, 1]  # ties go to the first
     assert leaders(fitness, 5).tolist() == [0, 1, 2, 3]  # a failed robot never leads
+
+
+@pytest.mark.parametrize(("share", "robots", "count"), [(0.3, 7, 3), (0.07, 100, 7), (0.01, 7, 1)])
+def test_share_of_the_leaders_is_rounded_up(share, robots, count):
+    assert count_leaders(share, robots) == count
 
 
 def test_leaders_have_the_same_outcomes_as_without_racing(raced, complete):

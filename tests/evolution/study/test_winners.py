@@ -79,8 +79,8 @@ def make_run(seed, best_m):
 def study(tmp_path):
     """Return a function from best distances by seed to the winners of a study with one arm."""
 
-    def find(best_m):
-        config = StudyConfig({"a": ArtificialArm()}, (0, 1, 2, 3), 210, reference="a")
+    def find(best_m, budget_s=210):
+        config = StudyConfig({"a": ArtificialArm()}, (0, 1, 2, 3), budget_s, reference="a")
         runs = {"a": [make_run(seed, best) for seed, best in best_m.items()]}
         empty = analyse(config, Results(polars.DataFrame(), []))
         return retest_winners(replace(empty, runs=runs), tmp_path).winners
@@ -96,6 +96,15 @@ def test_best_robot_of_an_arm_is_simulated_at_a_finer_timestep(study, tmp_path):
     assert (tmp_path / "winners" / "a.json").read_text() == "0.3"
     ((_, seed, recorded_m, reference_m, _),) = study({0: 0.2, 1: 0.3, 3: 0.4})
     assert (seed, recorded_m, reference_m) == (3, 0.4, pytest.approx(0.4 - 0.00025))
+
+
+def test_winner_is_found_within_the_budget_of_all_arms(study, tmp_path):
+    Cell("a", 0).folder(tmp_path).mkdir(parents=True)
+    # The robot of 0.6 m ends at 210 s, and the one of 0.4 m at 150 s.
+    (winner,) = study({0: 0.6}, budget_s=179.0)
+    assert winner.recorded_m == 0.4
+    (winner,) = study({0: 0.6})
+    assert winner.recorded_m == 0.6
 
 
 def test_known_winners_do_not_need_their_run_folders(study, tmp_path):
