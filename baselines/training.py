@@ -210,6 +210,11 @@ class _Recorder(BaseCallback):
         if self.designs is not None:
             self.designs.restore(more)
         self._save(Policy.of(model))  # in case the process was killed before it saved the policy
+        best = self.history.folder / "best.npz"
+        if self.history.best is not None and not best.exists():
+            raise CaterpillarError(
+                f"{best} is missing; restore a copy of it, or train again in another folder"
+            )
         self._restored = True
         return bool(more["last"])
 

@@ -91,6 +91,8 @@ def start_cluster(cores: int) -> Iterator[str]:
                 print(f"{len(workers)} of {cores} workers", file=sys.stderr)
                 if len(workers) >= cores:
                     break
+            else:
+                raise RuntimeError(f"only {len(workers)} of {cores} workers have started")
         yield cluster.address
     finally:
         ray.shutdown()
@@ -177,7 +179,7 @@ def measure_cost(repeats: int) -> list[dict[str, Any]]:
     spent: dict[int, list[float]] = {size: [] for size in sizes}
     for _ in range(repeats):
         genomes = rng.random((count, len(encoding.genes)))
-        evaluate(genomes, encoding, threads=1)  # compile the bodies for all sizes
+        evaluate(genomes, encoding, threads=1)  # so that Numba has compiled all loops
         for size in sizes:
             began = time.process_time()
             for part in np.split(genomes, range(size, count, size)):

@@ -70,17 +70,18 @@ def name_of(path: Path) -> str:
 
 
 def write_bytes(path: Path, data: bytes, advice: str = ELSEWHERE) -> None:
-    """Write a file atomically.
+    """Write a file atomically. A symbolic link is followed, and not replaced.
 
     Raises:
         CaterpillarError: the file cannot be written, for example because the disk is full. An existing
             file is unchanged.
     """
-    partial = path.with_name(f".{path.name}.partial")
+    target = path.resolve()
+    partial = target.with_name(f".{target.name}.partial")
     try:
         with writing(path, advice):
             partial.write_bytes(data)
-            os.replace(partial, path)
+            os.replace(partial, target)
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
@@ -148,8 +149,8 @@ def read(
     Args:
         path: path of the file.
         make: function that converts the parsed data to the result.
-        missing: advice for the message if the file is missing.
-        parse: function that parses the text.
+        missing: advice for the message if the file is missing or cannot be parsed.
+        parse: function that parses the text, for JSON or TOML.
 
     Raises:
         CaterpillarError: the file is missing or invalid, does not match its digest, or is a device, a
@@ -162,8 +163,8 @@ def read(
     except OSError as problem:
         raise CaterpillarError(f"cannot read {path}: {problem.strerror}; {missing}") from None
     except (ValueError, RecursionError) as problem:
-        kind = path.suffix.removeprefix(".").upper() or "text"
-        raise CaterpillarError(f"{path} is not {kind}: {problem}") from None
+        kind = "JSON" if parse is parse_json else "TOML"
+        raise CaterpillarError(f"{path} is not {kind}: {problem}; {missing}") from None
     try:
         return make(_check_digest(data))
     except (CaterpillarError, RecursionError) as problem:

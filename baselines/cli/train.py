@@ -12,7 +12,7 @@ from pathlib import Path
 from baselines.config import TrainConfig, Training
 from baselines.policy import TrainedRobot
 from baselines.training import train
-from caterpillar_env.drawing.video import Recording
+from caterpillar_env.drawing.video import Recording, is_video_of
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import unused
 from caterpillar_env.morphology import Morphology
@@ -95,7 +95,8 @@ def follow(run: Callable[..., Training], config: TrainConfig, video: bool) -> in
     if history.best is None:
         print(f"no policy crawled forwards without failing, in {folder}")
         return 0
-    if video:
-        cli.film(Recording(TrainedRobot.load(folder)), folder / "best.mp4", console)
+    path = folder / "best.mp4"
+    if video and not is_video_of(path, robot := TrainedRobot.load(folder)):
+        cli.film(Recording(robot), path, console)
     print(f"best: {1000 * history.best.distance_m:.1f} mm in 30 s, in {folder}")
     return 0

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from caterpillar_env.drawing.overlay import Readout, annotate
 from caterpillar_env.drawing.rendering import RobotRenderer, View
 from caterpillar_env.drawing.scenery import Camera
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, check_fields
 from caterpillar_env.files import ELSEWHERE
 from caterpillar_env.morphology import length_m
 from caterpillar_env.physics import SMA_STEP_S
@@ -49,11 +49,11 @@ class VideoConfig:
     """Speed, size and camera of a video.
 
     Raises:
-        CaterpillarError: the speed is not positive, or the size or the camera is invalid (see `View`).
+        CaterpillarError: the speed, the size or the camera is invalid.
     """
 
     speed: float = 2.0
-    """Simulated seconds per second of video."""
+    """Simulated seconds per second of video, from 0.01 to 1000."""
     width: int | None = None
     """Frame width in pixels; by default 640, or 480 per column with several robots."""
     height: int | None = None
@@ -62,23 +62,23 @@ class VideoConfig:
     """Name of the camera. All cameras follow the robot."""
 
     def __post_init__(self) -> None:
-        if not 0 < self.speed < math.inf:
-            raise CaterpillarError(
-                f"speed = {self.speed} must be a positive number: simulated seconds per second of video"
-            )
-        width, height = _SINGLE_PX
-        View(
-            width if self.width is None else self.width,
-            height if self.height is None else self.height,
-            self.camera,
-        )
+        check_fields(self, {"speed": (0.01, 1000.0), "width": (1, 8192), "height": (1, 8192)})
 
     def layout(self, count: int) -> tuple[int, int, int, int]:
-        """Return the frame width and height, and the number of columns and rows, for `count` tiles."""
+        """Return the frame width and height, and the number of columns and rows, for `count` tiles.
+
+        Raises:
+            CaterpillarError: the frame is too small.
+        """
         columns = math.ceil(math.sqrt(count))
         rows = math.ceil(count / columns)
         width, height = _SINGLE_PX if count == 1 else (_TILE_PX[0] * columns, _TILE_PX[1] * rows)
-        return self.width or width, self.height or height, columns, rows
+        width, height = self.width or width, self.height or height
+        for name, size, tiles in (("width", width, columns), ("height", height, rows)):
+            least = tiles + _GAP_PX * (tiles - 1)
+            if size < least:
+                raise CaterpillarError(f"{name} = {size} must be at least {least} for {count} robots")
+        return width, height, columns, rows
 
 
 class Recording:

@@ -200,7 +200,7 @@ def time_left(bar: Progress, console: Console) -> str:
     left_s = bar.tasks[0].time_remaining
     if console.is_terminal or not left_s:
         return ""
-    return f", {left_s / 60:.{0 if left_s > 600 else 1}f} min left"
+    return f", {left_s:.0f} s left" if left_s < 120 else f", {left_s / 60:.0f} min left"
 
 
 def print_table(table: Table, width: int = 150) -> None:

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.files import write_bytes, writing
 from caterpillar_env.model import model_xml
 from caterpillar_env.robot import Robot
@@ -41,7 +42,18 @@ class ExportArgs:
 def export_command(argv: Sequence[str]) -> int:
     """Export the evaluations of a run as a table, or a robot as a MuJoCo model."""
     args = cli.parse(ExportArgs, argv, "export")
-    kind = args.to or _SUFFIXES.get(args.out.suffix if args.out else "", "csv")
+    suffix = args.out.suffix.lower() if args.out else ""
+    kind = args.to or _SUFFIXES.get(suffix, "csv")
+    if args.to is None and suffix and suffix not in _SUFFIXES:
+        raise CaterpillarError(
+            f"the suffix of --out must be {', '.join(_SUFFIXES)}; got {args.out}; to choose a format "
+            "for any name, add --to"
+        )
+    if kind != "mjcf" and args.source.is_file():
+        raise CaterpillarError(
+            f"a table needs a run folder; got {args.source}; to export the robot in a JSON file, add "
+            "--to mjcf"
+        )
     if kind == "mjcf":
         robot = Robot.load(args.source)
         file = args.source / "best.json" if args.source.is_dir() else args.source

@@ -66,6 +66,7 @@ def replay_command(argv: Sequence[str]) -> int:
     out = args.out or (first if first.is_dir() else first.parent) / name
     if args.video:
         check_path(out)
+        args.picture.layout(len(robots))  # raises an error if the video is too small
     recordings, comparisons = [], []
     for title, robot in robots:
         recording = Recording(robot, title)

@@ -40,7 +40,9 @@ def runs_command(argv: Sequence[str]) -> int:
     elif not rows:
         print(f"no runs in {args.folder}", file=sys.stderr)
     else:
-        table = Table(*rows[0])
+        table = Table()
+        for name in rows[0]:
+            table.add_column(name, no_wrap=name == "run")  # people copy the names of runs
         for row in rows:
             table.add_row(*(_to_text(value) for value in row.values()))
         cli.print_table(table)

@@ -47,7 +47,9 @@ def sweep(
         CaterpillarError: the names are not two different gene names, or the run has no best robot.
     """
     if history.kind != "evolution" or history.best is None:
-        raise CaterpillarError(f"{history.folder} has no evolved robot that crawled forwards")
+        raise CaterpillarError(
+            f"{history.folder} has no evolved robot that crawled forwards; a landscape needs one"
+        )
     encoding = history.config.encoding
     known = {gene.name: place for place, gene in enumerate(encoding.genes)}
     if len(set(names)) != 2 or not known.keys() >= set(names):

@@ -280,6 +280,17 @@ def test_every_kind_of_training_can_be_resumed(tmp_path, monkeypatch, fields):
         assert_same_runs(tmp_path / "whole", folder)
 
 
+def test_missing_best_policy_is_reported_before_training(tmp_path):
+    history = train(config(), tmp_path, on_evaluation=stop_after(2)).history
+    (tmp_path / "best.npz").unlink()
+    if history.best is history.evaluations[-1]:
+        resume(tmp_path)
+        assert (tmp_path / "best.npz").exists()
+    else:
+        with pytest.raises(CaterpillarError, match=r"best\.npz is missing; restore a copy of it"):
+            resume(tmp_path)
+
+
 def test_first_weights_do_not_depend_on_the_number_of_threads(tmp_path):
     digests, before = [], torch.get_num_threads()
     for threads in (1, 3):

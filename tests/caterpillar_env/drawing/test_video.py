@@ -269,8 +269,8 @@ def test_layout(count, layout):
 @pytest.mark.parametrize(
     ("wrong", "match"),
     [
-        ({"speed": 0.0}, "speed = 0.0 must be a positive number"),
-        ({"speed": float("nan")}, "speed = nan must be a positive number"),
+        ({"speed": 0.0}, r"speed = 0.0 must be a finite number from 0.01 to 1000"),
+        ({"speed": float("nan")}, r"speed = nan must be a finite number"),
     ],
 )
 def test_values_out_of_range_are_rejected(wrong, match):

@@ -208,6 +208,14 @@ def test_an_export_to_a_pipe_does_not_replace_it(run, tmp_path):
     assert (tmp_path / "pipe").is_fifo()
 
 
+def test_an_export_to_a_link_changes_its_target(run, tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "rows.csv")
+    for _ in range(2):  # a new and an existing target
+        assert cli.main(["export", str(run), "--out", str(tmp_path / "link")]) == 0
+        assert (tmp_path / "rows.csv").read_text().startswith("evaluation")
+    assert (tmp_path / "link").is_symlink()
+
+
 def test_pages_and_figures_replace_pipes(run, tmp_path):
     """Writing to a pipe would wait for a reader."""
     folder = shutil.copytree(run, tmp_path / "run")

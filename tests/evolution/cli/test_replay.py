@@ -144,9 +144,10 @@ def test_last_generation_shows_the_best_robot_of_the_run(run, elsewhere, capsys)
     [
         ([], "give one or more run folders"),
         (["still.json", "--out", "robot.avi"], "must be an .mp4, a .gif or a .webp file; got robot.avi"),
-        (["still.json", "--speed", "0"], "speed = 0.0 must be a positive number"),
+        (["still.json", "--speed", "0"], "speed = 0.0 must be a finite number from 0.01 to 1000"),
         (["still.json", "--camera", "front"], "--camera"),
         (["still.json", "--width", "10000"], "width = 10000 must be an integer from 1 to 8192"),
+        (["still.json", "still.json", "--width", "1"], "width = 1 must be at least 4 for 2 robots"),
         (["still.json", "--generations", "0"], "is not a run folder"),
         (["still.json", "still.json", "--generations", "0"], "--generations needs one run folder"),
         (["still.json", "--generations", "0", "-1"], "generations"),
