@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from caterpillar_env.arguments import ActionMode
+from caterpillar_env.arguments import ActionMode, EpisodeConfig
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError, check_number
+from caterpillar_env.errors import CaterpillarError, check_choice, check_number
 from caterpillar_env.gait import GAIT_PERIOD_S, GaitTimings
 from caterpillar_env.morphology import NAMES
 from caterpillar_env.physics import CONTROL_INTERVAL_S, Physics
@@ -34,18 +34,17 @@ class Interface(VecEnvWrapper):
     `uniform`, actions are those of the environment.
 
     Args:
-        venv: robots, for example a `CaterpillarVecEnv`, with the nominal gait period.
+        venv: robots, for example a `CaterpillarVecEnv`.
         mode: action mode of the robots.
         prior: prior of the gait.
         reach: largest change, as a share of the period (of the largest duty for duties).
         action_repeat: `action_repeat` of the robots, in switch mode.
         observe: kinds of observation entries to keep; the kind is the part of an entry's name before the
             colon. By default, all entries are kept.
-        physics: physics of the robots.
 
     Raises:
         CaterpillarError: a value is out of range, an entry is unknown, the prior has no peak, or the
-            robots have other actions.
+            robots have other settings.
     """
 
     def __init__(
@@ -57,9 +56,21 @@ class Interface(VecEnvWrapper):
         reach: float = 0.3,
         action_repeat: int = 1,
         observe: Sequence[str] | None = None,
-        physics: Physics | None = None,
     ) -> None:
         check_number("reach", reach, 0.0, 0.5)
+        check_choice("prior", prior, GaitPrior)
+        config: EpisodeConfig = venv.get_attr("config", [0])[0]
+        expected: dict[str, Any] = {"action_mode": mode}
+        if mode == "switch":
+            expected["action_repeat"] = action_repeat
+        if prior == "gait":
+            expected |= {"gait_period_s": GAIT_PERIOD_S, "symmetric": True}
+        for name, value in expected.items():
+            if (given := getattr(config, name)) != value:
+                raise CaterpillarError(
+                    f"the robots must have {name} = {value!r} with mode = {mode!r} and prior = "
+                    f"{prior!r}; got {given!r}"
+                )
         names: list[str] = venv.get_attr("observation_names", [0])[0]
         kinds = [name.split(":")[0] for name in names]
         if unknown := set(observe or ()) - set(kinds):
@@ -72,14 +83,7 @@ class Interface(VecEnvWrapper):
         self._repeat_s = action_repeat * CONTROL_INTERVAL_S
         self._wave: Wave | None = None
         if prior == "gait":
-            self._wave = best_wave(physics or Physics(), mode)
-            expected, given = self._wave.action.shape, venv.action_space.shape
-            if given != expected:
-                raise CaterpillarError(
-                    f"with prior = 'gait', actions have shape {expected}, but those of the robots have "
-                    f"shape {given}: give Interface the mode and the physics of the robots, and create "
-                    "the robots with symmetric = True"
-                )
+            self._wave = best_wave(config.physics, mode)
         self._clock = [i for i, kind in enumerate(kinds) if kind == "phase"]
         self._observations = np.empty((0, len(names)), dtype=np.float32)
         space = venv.observation_space

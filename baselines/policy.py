@@ -59,7 +59,7 @@ def make_training_env(config: TrainConfig, threads: int = 0) -> CaterpillarVecEn
 def make_model(config: TrainConfig, robots: CaterpillarVecEnv) -> BaseAlgorithm:
     """Make the algorithm with an untrained policy, and wrap its environment."""
     learning = hyperparameters(config)
-    env = VecMonitor(Interface(robots, physics=config.physics, **learning.interface))
+    env = VecMonitor(Interface(robots, **learning.interface))
     arguments = dict(learning.model)
     if arguments.pop("noise_type", None):
         deviation = np.full(env.action_space.shape or (), arguments.pop("noise_std"))

@@ -31,7 +31,7 @@ class CaterpillarVecEnv(VecEnv):
         env_id: `CaterpillarSMA-v0` or `CaterpillarSMASwitch-v0`.
         num_envs: number of robots.
         threads: number of simulation threads; 0 uses all cores.
-        **kwargs: arguments of `CaterpillarVectorEnv`.
+        **kwargs: arguments of `CaterpillarVectorEnv`, except `autoreset_mode`.
     """
 
     def __init__(self, env_id: str, num_envs: int, *, threads: int = 0, **kwargs: Any) -> None:

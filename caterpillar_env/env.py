@@ -121,7 +121,7 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         self.observation_space = self._episodes.observation_space
         self.render_mode = render_mode
         self._pictures = Pictures(self.crawl, View(width, height, camera_name))
-        self._running = False
+        self._running, self._ended = False, False
         self.metadata = self.metadata | {"render_fps": 1 / self.dt}  # one frame per step
 
     @property
@@ -158,17 +158,20 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         self._episodes.set_state(state, _ROW)
         (generator,) = state.generators
         self.np_random = make_generator(generator)  # type: ignore[assignment]  # None: unseeded
-        self._running = True
+        self._running, self._ended = True, bool(self._episodes.find_ended(_ROW)[0])
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the arguments and the state, for `copy.deepcopy` and pickle."""
         state = self.get_state() if self._running else None
         random = copy.deepcopy((self._np_random, self._np_random_seed))
-        return {**EzPickle.__getstate__(self), "spec": self._spec, "random": random, "state": state}
+        spaces = self.action_space, self.observation_space  # they have random generators
+        kept = {"spec": self._spec, "random": random, "spaces": spaces, "state": state}
+        return {**EzPickle.__getstate__(self), **kept}
 
     def __setstate__(self, data: dict[str, Any]) -> None:
         EzPickle.__setstate__(self, data)
         self._spec = data["spec"]
+        self.action_space, self.observation_space = data["spaces"]
         if data["state"] is not None:
             self.set_state(data["state"])
         self._np_random, self._np_random_seed = data["random"]
@@ -181,7 +184,7 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         chosen = check_options(options, ("morphology",))
         bodies = [Morphology.of(chosen["morphology"])] if "morphology" in chosen else None
         observation, info = self._episodes.reset(_ROW, [self.np_random], bodies)
-        self._running = True
+        self._running, self._ended = True, False
         return observation[0], _scalars(info)
 
     def step(
@@ -190,9 +193,12 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         """Advance by `action_repeat` gait periods, or control intervals in switch mode."""
         if not self._running:
             raise CaterpillarError("call reset() before step()")
+        if self._ended:
+            gymnasium.logger.warn("the episode has ended: call reset() before step()")
         observation, reward, terminated, truncated, info = self._episodes.step(
-            self._episodes.check_actions([action], 1), _ROW, self.on_interval
+            self._episodes.check_actions(action)[None], _ROW, self.on_interval
         )
+        self._ended = bool(terminated[0] or truncated[0])
         return (
             observation[0],
             float(reward[0]),
@@ -204,15 +210,20 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
     def render(self) -> Any:
         """Draw the current state."""
         if self.render_mode is None:
-            gymnasium.logger.warn(
-                'render() draws nothing without a render mode: make(..., render_mode="rgb_array")'
-            )
+            warn_of_no_render_mode()
             return None
         return self._pictures.draw(0)
 
     def close(self) -> None:
         """Free the drawing context."""
         self._pictures.close()
+
+
+def warn_of_no_render_mode() -> None:
+    """Warn that `render` draws nothing."""
+    gymnasium.logger.warn(
+        'render() draws nothing without a render mode: make(..., render_mode="rgb_array")'
+    )
 
 
 def _scalars(info: dict[str, NDArray[Any]]) -> dict[str, Any]:

@@ -53,8 +53,12 @@ class EpisodeState(NamedTuple):
     generators: tuple[dict[str, Any] | None, ...]  #: state of each random generator, (R,)
 
     def rows(self, index: Sequence[int] | Rows) -> EpisodeState:
-        """Return the states of some of the robots. An index may occur several times."""
-        chosen = np.asarray(index)
+        """Return the states of some of the robots. An index may occur several times.
+
+        Raises:
+            CaterpillarError: an index is not an integer, or out of range.
+        """
+        chosen = check_rows(index, len(self.bodies))
         bodies, conditions, generators = (
             tuple(values[row] for row in chosen)
             for values in (self.bodies, self.conditions, self.generators)
@@ -187,6 +191,13 @@ class Episodes:
         self._kept[rows], self._fault_step[rows] = state.kept, state.fault_step
         return self._observe(rows, self.crawl.simulation.state(rows), self.crawl.progress(rows))
 
+    def find_ended(self, rows: Rows) -> NDArray[np.bool_]:
+        """Return whether the episodes of robots have been terminated or truncated, (R,)."""
+        failure = self.crawl.failure[rows]
+        failed = failure != _NONE if self.config.terminate_on_failure else failure == _DIVERGED
+        ended: NDArray[np.bool_] = failed | (self._intervals[rows] >= self._limit)
+        return ended
+
     def _scale_bodies(self, rows: Rows) -> None:
         self._scaled_bodies[rows] = [2.0 * self.morphology(row).to_unit() - 1.0 for row in rows]
 
@@ -259,25 +270,23 @@ class Episodes:
             info["spring_power"] = np.where(broken[:, None], self._kept[rows], 1.0)
         return info
 
-    def check_actions(self, actions: Any, count: int) -> Array:
-        """Return the actions of `count` robots as an array with one row per robot.
+    def check_actions(self, actions: Any, count: int | None = None) -> Array:
+        """Return the actions of `count` robots, or the action of a single robot, as an array.
 
         Raises:
             CaterpillarError: the shape is wrong, a value is not finite, or a switch value is not 0 or 1.
         """
-        expected = (count, *self.action_space.shape)
+        one = self.action_space.shape or ()
+        expected, name = (one, "the action") if count is None else ((count, *one), "the actions")
         array = to_array(actions)
         if array is None or array.shape != expected:
             got = show(actions) if array is None else f"shape {array.shape}"
-            raise CaterpillarError(
-                f"actions must be numbers of shape {expected[1:]} per robot, {expected} in total; "
-                f"got {got}"
-            )
+            raise CaterpillarError(f"{name} must be numbers of shape {expected}; got {got}")
         switch = self.config.action_mode == "switch"
         if switch and ((array == 0) | (array == 1)).all():
             return array
         if not np.isfinite(array).all():
-            raise CaterpillarError(f"actions must be finite; got {actions!r}")
+            raise CaterpillarError(f"{name} must be finite; got {actions!r}")
         if switch:
             raise CaterpillarError(f"switch actions must be 0 (off) or 1 (on); got {actions!r}")
         return array
@@ -312,10 +321,16 @@ class Episodes:
 
 
 class WithSpec:
-    """Mixin that adds the maximum number of steps in an episode to the environment's `spec`."""
+    """Mixin of both environments: `config`, and a `spec` with the number of steps in an episode."""
 
     _episodes: Episodes
     _spec: EnvSpec | None = None
+    _has_time_limit = True  #: whether Gymnasium truncates episodes after the number of steps in the spec
+
+    @property
+    def config(self) -> EpisodeConfig:
+        """Settings of the episodes."""
+        return self._episodes.config
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -324,9 +339,24 @@ class WithSpec:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None and spec.max_episode_steps is None:
+        if spec is not None and (spec.max_episode_steps is None or not self._has_time_limit):
             spec = replace(spec, max_episode_steps=self._episodes.max_steps)
         self._spec = spec
+
+
+def check_rows(rows: Any, count: int) -> Rows:
+    """Return indices of robots as an array, (R,).
+
+    Raises:
+        CaterpillarError: an index is not an integer from 0 to `count - 1`.
+    """
+    array = to_array(rows)
+    index = np.empty(0, dtype=np.int64) if array is None else np.asarray(rows)
+    if array is None or array.ndim != 1 or index.dtype.kind not in "iu":
+        raise CaterpillarError(f"rows must be a list of indices; got {show(rows)}")
+    if ((index < 0) | (index >= count)).any():
+        raise CaterpillarError(f"rows must be indices from 0 to {count - 1}; got {show(rows)}")
+    return index.astype(np.int64)
 
 
 def make_generator(state: dict[str, Any] | None) -> np.random.Generator | None:

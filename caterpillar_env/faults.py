@@ -40,7 +40,7 @@ class Faults:
 
     @classmethod
     def of(cls, value: Faults | Mapping[str, Any] | int | None) -> Faults | None:
-        """Return `value` as `Faults`. An integer n stands for `Faults(springs=n)`.
+        """Return `value` as `Faults`. An integer n stands for `Faults(springs=n)`, and 0 for no faults.
 
         Raises:
             CaterpillarError: a field is unknown or its value is invalid.
@@ -48,7 +48,12 @@ class Faults:
         if value is None or isinstance(value, Faults):
             return value
         if isinstance(value, (int, np.integer)) and not isinstance(value, bool):
-            value = {"springs": value}
+            return None if value == 0 else cls(springs=int(value))
+        if not isinstance(value, Mapping):
+            raise CaterpillarError(
+                f"faults must be a number of springs, or a mapping from field names to values; got "
+                f"{show(value)}"
+            )
         return from_mapping(cls, value, "faults")
 
     def draw(self, num_springs: int, rng: np.random.Generator) -> tuple[Array, int]:

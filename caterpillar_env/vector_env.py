@@ -23,8 +23,8 @@ from caterpillar_env.arguments import (
 from caterpillar_env.arrays import Array, Rows
 from caterpillar_env.drawing.rendering import Pictures, View
 from caterpillar_env.drawing.scenery import Camera
-from caterpillar_env.env import CaterpillarEnv
-from caterpillar_env.episodes import Episodes, EpisodeState, WithSpec, make_generator
+from caterpillar_env.env import CaterpillarEnv, warn_of_no_render_mode
+from caterpillar_env.episodes import Episodes, EpisodeState, WithSpec, check_rows, make_generator
 from caterpillar_env.errors import CaterpillarError, check_number, show
 from caterpillar_env.faults import Faults
 from caterpillar_env.gait import GAIT_PERIOD_S
@@ -33,6 +33,8 @@ from caterpillar_env.physics import Physics
 from caterpillar_env.randomization import Randomization
 from caterpillar_env.task import EPISODE_S, OnInterval
 from caterpillar_env.worlds import World
+
+_SPACES = ("single_action_space", "single_observation_space", "action_space", "observation_space")
 
 
 class CaterpillarVectorEnv(
@@ -48,7 +50,8 @@ class CaterpillarVectorEnv(
         num_envs: number of robots.
         morphology: one body for all robots (as for `CaterpillarEnv`), a list of `num_envs` bodies, or an
             array of shape (num_envs, 8).
-        max_episode_steps: maximum number of steps in an episode, in addition to the limit `episode_s`.
+        max_episode_steps: maximum number of steps in an episode, in addition to the limit `episode_s`;
+            -1 or None for no other limit.
         threads: number of threads; 0 means all usable cores. The results do not depend on it.
         autoreset_mode: when to reset a robot whose episode has ended, see Gymnasium.
         render_mode: None or "rgb_array" (one frame per robot).
@@ -66,6 +69,7 @@ class CaterpillarVectorEnv(
     """
 
     metadata: dict[str, Any] = {**CaterpillarEnv.metadata}  # noqa: RUF012
+    _has_time_limit = False
 
     def __init__(
         self,
@@ -97,6 +101,8 @@ class CaterpillarVectorEnv(
     ) -> None:
         arguments = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
         EzPickle.__init__(self, **arguments)
+        if isinstance(max_episode_steps, int) and max_episode_steps == -1:  # as in `gymnasium.make`
+            arguments["max_episode_steps"] = None
         config = EpisodeConfig.of(arguments)
         check_render_mode(render_mode)
         bodies = read_morphologies({} if morphology is None else morphology, num_envs)
@@ -120,40 +126,46 @@ class CaterpillarVectorEnv(
         self._done = np.zeros(num_envs, dtype=bool)
         self._observations = np.zeros(self.observation_space.shape or (), dtype=np.float32)
 
-    def get_state(self, rows: Rows | None = None) -> EpisodeState:
+    def get_state(self, rows: Sequence[int] | Rows | None = None) -> EpisodeState:
         """Return everything that the rest of the episodes depends on, for `set_state`.
 
         Args:
             rows: indices of the robots, (R,); all by default.
 
         Raises:
-            CaterpillarError: `reset` has not been called yet.
+            CaterpillarError: `reset` has not been called yet, or an index is invalid.
         """
         if not self._running:
             raise CaterpillarError("call reset() before get_state()")
-        index = self.crawl.simulation.indices(rows)
+        index = check_rows(range(self.num_envs) if rows is None else rows, self.num_envs)
         return self._episodes.get_state(index, [self._generators[row] for row in index])
 
-    def set_state(self, state: EpisodeState, rows: Rows | None = None) -> None:
+    def set_state(self, state: EpisodeState, rows: Sequence[int] | Rows | None = None) -> None:
         """Continue robots from a state, which may come from other rows or from a `CaterpillarEnv`.
 
         Args:
             state: state of R robots. `state.rows([0] * 64)` repeats the first robot 64 times.
-            rows: indices of the robots to change, (R,); all by default.
+            rows: different indices of the robots to change, (R,); all by default.
 
         Raises:
-            CaterpillarError: the state has another number of robots or segments, or some rows have
-                neither been reset nor get a state.
+            CaterpillarError: the state has another number of robots or segments, an index is invalid, or
+                some rows have neither been reset nor get a state. No robot changes.
         """
-        index = self.crawl.simulation.indices(rows)
-        if not self._running and len(np.unique(index)) < self.num_envs:
+        index = check_rows(range(self.num_envs) if rows is None else rows, self.num_envs)
+        if len(np.unique(index)) < len(index):
+            raise CaterpillarError(f"rows must not repeat an index; got {show(rows)}")
+        if not self._running and len(index) < self.num_envs:
             raise CaterpillarError("call reset() before set_state(), or set the state of all rows")
+        if len(state.bodies) == len(index):  # otherwise, `Episodes.set_state` raises an error
+            order = np.argsort(index)  # MuJoCo needs ascending rows
+            index, state = index[order], state.rows(order)
         self._observations[index] = self._episodes.set_state(state, index)
         self._make_generators([None] * self.num_envs)
         for row, known in zip(index, state.generators, strict=True):
             if (generator := make_generator(known)) is not None:
                 self._generators[row], self._seeds[row] = generator, -1
-        self._done[index] = False
+        if self._mode is not AutoresetMode.SAME_STEP:
+            self._done[index] = self._episodes.find_ended(index)
         self._running = True
 
     @property  # type: ignore[misc]
@@ -176,17 +188,20 @@ class CaterpillarVectorEnv(
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the arguments and the state, for `copy.deepcopy` and pickle."""
-        state = (self.get_state(), self._done, self._observations) if self._running else None
+        state = (self.get_state(), self._observations) if self._running else None
         random = copy.deepcopy((self._generators, self._seeds))
-        return {**EzPickle.__getstate__(self), "spec": self._spec, "random": random, "state": state}
+        spaces = {name: getattr(self, name) for name in _SPACES}  # they have random generators
+        kept = {"spec": self._spec, "random": random, "spaces": spaces, "state": state}
+        return {**EzPickle.__getstate__(self), **kept}
 
     def __setstate__(self, data: dict[str, Any]) -> None:
         EzPickle.__setstate__(self, data)
         self._spec = data["spec"]
+        vars(self).update(data["spaces"])
         if data["state"] is not None:
-            state, done, observations = data["state"]
+            state, observations = data["state"]
             self.set_state(state)
-            self._done, self._observations = done.copy(), observations.copy()
+            self._observations = observations.copy()
         self._generators, self._seeds = data["random"]
 
     def reset(
@@ -297,6 +312,7 @@ class CaterpillarVectorEnv(
     def render(self) -> tuple[Any, ...] | None:
         """Return one frame per row, or None without a render mode or a drawing backend."""
         if self.render_mode is None:
+            warn_of_no_render_mode()
             return None
         frames = tuple(self._pictures.draw(row) for row in range(self.num_envs))
         return None if frames[0] is None else frames

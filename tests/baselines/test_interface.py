@@ -20,7 +20,7 @@ def wrap(mode="phase", robots=2, physics=None, action_repeat=1, **settings):
     env = CaterpillarVecEnv(
         IDS[mode], robots, threads=1, action_mode=mode, physics=physics, action_repeat=action_repeat
     )
-    return Interface(env, mode=mode, action_repeat=action_repeat, physics=physics, **settings)
+    return Interface(env, mode=mode, action_repeat=action_repeat, **settings)
 
 
 def crawl_m(wave):
@@ -138,11 +138,26 @@ def test_invalid_settings_are_rejected(settings, message):
         wrap(prior="uniform", **settings)
 
 
-@pytest.mark.parametrize("settings", [{"symmetric": False}, {"physics": {"num_segments": 3}}], ids=str)
-def test_robots_with_other_actions_are_rejected(settings):
+@pytest.mark.parametrize(
+    ("settings", "interface", "message"),
+    [
+        ({"symmetric": False}, {"mode": "timing"}, "symmetric = True .* got False"),
+        ({"gait_period_s": 2.0}, {"mode": "timing"}, "gait_period_s = 5.0 .* got 2.0"),
+        ({"action_mode": "phase"}, {"mode": "timing"}, "action_mode = 'timing' .* got 'phase'"),
+        ({}, {"mode": "phase", "prior": "uniform"}, "action_mode = 'phase' .* got 'timing'"),
+        (
+            {"action_mode": "switch"},
+            {"mode": "switch", "action_repeat": 5},
+            "action_repeat = 5 .* got 1",
+        ),
+        ({}, {"mode": "timing", "prior": "body"}, "prior = 'body' must be one of uniform, gait"),
+    ],
+    ids=str,
+)
+def test_robots_with_other_settings_are_rejected(settings, interface, message):
     env = CaterpillarVecEnv("CaterpillarSMA-v0", 1, threads=1, **settings)
-    with pytest.raises(CaterpillarError, match=r"actions have shape \(12,\), but those of the robots"):
-        Interface(env, mode="timing")
+    with pytest.raises(CaterpillarError, match=message):
+        Interface(env, **interface)
 
 
 def test_gait_of_the_prior_has_as_many_pairs_as_the_robot():

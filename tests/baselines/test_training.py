@@ -174,9 +174,7 @@ class Watcher:
 
 def test_policy_observes_and_acts_through_its_interface():
     watcher = Watcher()
-    interface = Interface(
-        make_training_env(config()), mode="timing", physics=SMALL, observe=["fraction"]
-    )
+    interface = Interface(make_training_env(config()), mode="timing", observe=["fraction"])
     untrained = Policy(watcher, interface).crawl(make_env(config()), 0, config().morphology)
     assert [observed.shape for observed in watcher.observed] == [(1, 8)] * 6  # one per gait period
     assert untrained.distance_m[0] > 0.05  # the best wave of the prior

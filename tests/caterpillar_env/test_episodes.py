@@ -161,6 +161,84 @@ def test_copied_vector_environment_continues_with_identical_results(branch_of):
             np.testing.assert_array_equal(mine, theirs)
 
 
+def test_rows_can_be_a_list_in_any_order():
+    envs = CaterpillarVectorEnv(3, threads=1, **SETTINGS)
+    envs.reset(seed=0)
+    states = envs.get_state([2, 0])
+    expected, *_ = copy.deepcopy(envs).step(np.tile(draw_actions(1), (3, 1)))
+    envs.reset()
+    envs.set_state(states, [2, 0])
+    observations, *_ = envs.step(np.tile(draw_actions(1), (3, 1)))
+    np.testing.assert_array_equal(observations[[0, 2]], expected[[0, 2]])
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([3], "rows must be indices from 0 to 2; got"),
+        (np.array([-1]), "rows must be indices from 0 to 2; got"),
+        ([False, True, False], "rows must be a list of indices; got"),
+        (np.array([1.0]), "rows must be a list of indices; got"),
+        (1, "rows must be a list of indices; got 1"),
+        ([1, 1], "rows must not repeat an index; got"),
+        ([0, 1], "must have 2 robots"),
+    ],
+    ids=str,
+)
+def test_invalid_rows_change_nothing(env, rows, message):
+    envs = CaterpillarVectorEnv(3, threads=1, **SETTINGS)
+    envs.reset(seed=0)
+    twin, states = copy.deepcopy(envs), env.get_state().rows([0] * len(np.atleast_1d(rows)))
+    states = states.rows([0]) if "robots" in message else states
+    with pytest.raises(CaterpillarError, match=message):
+        envs.set_state(states, rows)
+    actions = np.tile(draw_actions(1), (3, 1))
+    np.testing.assert_array_equal(envs.step(actions)[0], twin.step(actions)[0])
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "Disabled"])
+def test_state_remembers_that_the_episode_has_ended(mode):
+    envs = CaterpillarVectorEnv(2, threads=1, autoreset_mode=mode, **SETTINGS)
+    envs.reset(seed=0)
+    nothing = np.zeros((2, 12))
+    while not envs.step(nothing)[3].all():
+        pass
+    state = envs.get_state()
+    envs.reset()
+    envs.set_state(state)
+    if mode == "Disabled":
+        with pytest.raises(CaterpillarError, match="have ended"):
+            envs.step(nothing)
+    else:
+        *_, truncated, info = envs.step(nothing)
+        assert not truncated.any()
+        assert info["time_s"].tolist() == [0.0, 0.0]
+
+
+def test_step_after_the_end_warns():
+    env = CaterpillarEnv(**{**SETTINGS, "episode_s": 0.5})
+    env.reset(seed=0)
+    ended = env.step(draw_actions(1)[0])
+    assert ended[3]
+    state = env.get_state()
+    for restart in (lambda: None, lambda: env.set_state(state)):
+        restart()
+        with pytest.warns(UserWarning, match="the episode has ended: call reset"):
+            env.step(draw_actions(1)[0])
+    env.reset()
+    env.step(draw_actions(1)[0])
+
+
+@pytest.mark.parametrize("branch_of", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
+def test_copies_sample_the_same_actions(branch_of):
+    for env in (CaterpillarEnv(), CaterpillarVectorEnv(2)):
+        env.action_space.seed(5)
+        branches = [branch_of(env) for _ in range(2)]
+        samples = [e.action_space.sample() for e in (env, *branches)]
+        np.testing.assert_array_equal(samples[0], samples[1])
+        np.testing.assert_array_equal(samples[0], samples[2])
+
+
 def test_state_of_another_robot_is_refused(env):
     longer = CaterpillarEnv(physics={"num_segments": 5})
     longer.reset(seed=0)
@@ -217,6 +295,21 @@ def test_specification_has_the_number_of_steps(env_id, arguments, steps):
 def test_max_episode_steps_of_the_user_is_kept():
     env = gymnasium.make("CaterpillarSMA-v0", max_episode_steps=2)
     assert env.spec.max_episode_steps == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "steps"),
+    [
+        ({"episode_s": 60.0, "max_episode_steps": -1}, 12),
+        ({"episode_s": 60.0, "max_episode_steps": None}, 12),
+        ({"episode_s": 5.0}, 1),
+        ({"max_episode_steps": 3}, 3),
+    ],
+    ids=str,
+)
+def test_specification_of_a_vector_has_its_number_of_steps(arguments, steps):
+    spec = gymnasium.make("CaterpillarSMA-v0").spec
+    assert gymnasium.make_vec(spec, num_envs=1, **arguments).spec.max_episode_steps == steps
 
 
 def test_time_can_be_observed():

@@ -95,16 +95,22 @@ def test_seeds_and_states_repeat_the_faults():
     assert first.kept.shape == (2, 12)
 
 
+def test_no_faults_can_be_written_as_0():
+    env = gymnasium.make(SWITCH, faults=0)
+    assert "spring_power" not in env.reset(seed=0)[1]
+
+
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (0, "springs = 0 must be an integer from 1"),
+        (-1, "springs = -1 must be an integer from 1"),
+        (2.0, "faults must be a number of springs, or a mapping from field names to values; got 2.0"),
         (13, "faults.springs = 13 must be at most the number of springs, 12"),
         ({"power": 2}, "power = 2 must be a finite number from 0 to 1"),
         ({"time_s": (3, 1)}, r"time_s of faults must be \(earliest, latest\) with earliest <= latest"),
         ({"time_s": 3}, "time_s = 3 must be a list"),
         ({"force": 1}, "faults has no force; its fields are springs, power, time_s"),
-        ("two", "faults must be a mapping from field names to values"),
+        ("two", "faults must be a number of springs, or a mapping from field names to values"),
     ],
 )
 def test_errors_name_the_field(value, message):

@@ -316,7 +316,7 @@ def test_returned_arrays_are_not_modified_later():
     [
         (np.zeros((2, 12)), r"\(3, 12\).*got shape \(2, 12\)"),
         (np.zeros(12), r"\(3, 12\)"),
-        (np.zeros((3, 11)), r"shape \(12,\)"),
+        (np.zeros((3, 11)), r"the actions must be numbers of shape \(3, 12\); got shape \(3, 11\)"),
         (np.full((3, 12), np.nan), "must be finite"),
         (np.full((3, 12), 0.5), r"0 \(off\) or 1 \(on\)"),
     ],

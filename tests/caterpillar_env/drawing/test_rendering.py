@@ -169,11 +169,10 @@ def test_vector_environment_draws_every_row():
 
 
 def test_nothing_is_drawn_without_a_render_mode():
-    env = CaterpillarEnv()
-    env.reset(seed=0)
-    with pytest.warns(UserWarning, match="render_mode"):
-        assert env.render() is None
-    assert CaterpillarVectorEnv(2).render() is None
+    for env in (CaterpillarEnv(), CaterpillarVectorEnv(2)):
+        env.reset(seed=0)
+        with pytest.warns(UserWarning, match="render_mode"):
+            assert env.render() is None
 
 
 @pytest.mark.parametrize("camera", get_args(Camera))
