@@ -28,8 +28,10 @@ class ResumeArgs(ThreadArgs):
 def resume_command(argv: Sequence[str]) -> int:
     """Continue a training run from its last evaluation."""
     args = cli.parse(ResumeArgs, argv, "rl resume")
-    config = Training.read(args.folder).config
+    config, history = Training.read(args.folder)
     console = cli.console()
+    if history.finished:
+        console.print("already finished: the budget is spent")
     run = partial(
         resume, args.folder, threads=args.threads,
         on_warning=lambda text: console.print(f"warning: {text}"),

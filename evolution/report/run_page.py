@@ -22,6 +22,7 @@ from evolution.objective import stopped
 from evolution.report import figures as draw
 from evolution.report.page import data_url, render
 from evolution.report.replay import encode
+from evolution.run.database import is_in_use
 from evolution.run.history import History, to_outcomes
 
 PAGE = "report.html"
@@ -162,9 +163,9 @@ def next_commands(history: History, folder: str) -> list[tuple[str, str]]:
         ]
     more = 2 * history.config.generations
     if history.own_optimizer is None and history.own_objective is None:
-        if not history.finished:
+        if not history.finished and not is_in_use(history.folder):
             commands.append((f"caterpillar resume {folder}", "continue the run"))
-        elif history.stop_reason(more) is None:
+        elif history.finished and history.stop_reason(more) is None:
             commands.append((f"caterpillar resume {folder} --generations {more}", "make the run longer"))
     return commands
 

@@ -196,8 +196,8 @@ def summarize(analysis: Analysis) -> list[str]:
             if gain.reference_generations is not None:
                 needed = "fewer than half of the runs reached"
                 if np.isfinite(gain.reference_generations.value):
-                    number = format_estimate(gain.reference_generations, "{:.0f}")
-                    needed = f"the median run needed {number} generations to reach"
+                    number = _count_generations(gain.reference_generations)
+                    needed = f"the median run needed {number} to reach"
                 lines.append(
                     f"{config.reference_of(gain.arm)}: {needed} the median distance of {gain.arm} after "
                     f"{count} generations."
@@ -219,7 +219,7 @@ def _summarize_times(threshold: Threshold, row: Times, reference: str) -> str:
         level = f"{threshold} ({level})"
     line = f"{row.arm}: {row.reached} of {_count_runs(row.runs)} reached {level}"
     if row.median_generations is not None and np.isfinite(row.median_generations.value):
-        line += f", the median run after {format_estimate(row.median_generations, '{:.0f}')} generations"
+        line += f", the median run after {_count_generations(row.median_generations)}"
     if row.arm != reference and row.acceleration is not None and row.acceleration.value > 0:
         line += f", {format_estimate(row.acceleration)} times as fast as {reference}"
     if row.speed_up is not None:
@@ -247,6 +247,12 @@ def format_estimate(estimate: Estimate | None, pattern: str = "{:.2f}", factor: 
 def _count_runs(number: int) -> str:
     """Return a number of runs with its unit, such as `1 run` or `2 runs`."""
     return f"{number} run" if number == 1 else f"{number} runs"
+
+
+def _count_generations(number: Estimate) -> str:
+    """Return a number of generations with its interval and unit, such as `1 generation`."""
+    text = format_estimate(number, "{:.0f}")
+    return f"{text} generation" if text == "1" else f"{text} generations"
 
 
 def format_p(p: float | None) -> str:
