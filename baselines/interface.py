@@ -58,6 +58,7 @@ class Interface(VecEnvWrapper):
         observe: Sequence[str] | None = None,
     ) -> None:
         check_number("reach", reach, 0.0, 0.5)
+        check_choice("mode", mode, ActionMode)
         check_choice("prior", prior, GaitPrior)
         config: EpisodeConfig = venv.get_attr("config", [0])[0]
         expected: dict[str, Any] = {"action_mode": mode}
@@ -69,7 +70,7 @@ class Interface(VecEnvWrapper):
             if (given := getattr(config, name)) != value:
                 raise CaterpillarError(
                     f"the robots must have {name} = {value!r} with mode = {mode!r} and prior = "
-                    f"{prior!r}; got {given!r}"
+                    f"{prior!r}; got {given!r}. Give Interface the settings of the robots"
                 )
         names: list[str] = venv.get_attr("observation_names", [0])[0]
         kinds = [name.split(":")[0] for name in names]

@@ -89,8 +89,8 @@ def resume(
         threads: see `train`.
 
     Raises:
-        CaterpillarError: the folder has no training run or no intact checkpoint, or the hyperparameters
-            have changed.
+        CaterpillarError: the folder has no training run, no intact checkpoint or no best policy, or the
+            hyperparameters have changed.
     """
     recorded = Training.read(folder)
     config, known = recorded

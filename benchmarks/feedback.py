@@ -5,9 +5,9 @@
 
 The best policy of each training run crawls under all combinations of the conditions. The preset `rl`
 trains with a friction of 0.8, or of 0.5 to 1.1, and on flat ground. Distances are those in 30 s. A robot
-that fails counts as 0, as does a folder of a training run without a best policy. Such a run has no JSON
-file, so it is missing if JSON files are given. Runs that differ only in the seed form a group. The first
-group is the reference.
+that fails counts as 0. A training run without a best policy counts as 0 if its folder is given; it has
+no JSON file, so a list of JSON files leaves it out. Runs that differ only in the seed form a group. The
+first group is the reference.
 """
 
 from __future__ import annotations

@@ -115,6 +115,8 @@ def main() -> None:
                 continue
             rows.append(finished.result())
             polars.DataFrame(rows).sort("optimizer", "seed").write_csv(file)
+    if not rows:
+        sys.exit(f"all {failed} runs failed")
     table = polars.DataFrame(rows).sort("optimizer", "seed")  # the bootstrap depends on the order
     parts = {name: table.filter(optimizer=name) for name in NAMES}
     best_mm = {name: part["best_mm"].to_numpy() for name, part in parts.items() if len(part)}

@@ -71,6 +71,7 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         dt: simulated length of an environment step, s.
         frame_skip: number of physics steps in an environment step.
         observation_names: name of every entry of the observation, in order.
+        config: settings of the episodes.
         crawl: the simulated robot: `crawl.progress()`, `crawl.simulation.state()` and so on.
         on_interval: function to call with the `Trace` of every control interval, or None.
 
@@ -158,13 +159,13 @@ class CaterpillarEnv(WithSpec, gymnasium.Env[NDArray[np.float32], NDArray[Any]],
         self._episodes.set_state(state, _ROW)
         (generator,) = state.generators
         self.np_random = make_generator(generator)  # type: ignore[assignment]  # None: unseeded
-        self._running, self._ended = True, bool(self._episodes.find_ended(_ROW)[0])
+        self._running, self._ended = True, bool(self._episodes.find_ended(state)[0])
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the arguments and the state, for `copy.deepcopy` and pickle."""
         state = self.get_state() if self._running else None
         random = copy.deepcopy((self._np_random, self._np_random_seed))
-        spaces = self.action_space, self.observation_space  # they have random generators
+        spaces = copy.deepcopy((self.action_space, self.observation_space))  # with their generators
         kept = {"spec": self._spec, "random": random, "spaces": spaces, "state": state}
         return {**EzPickle.__getstate__(self), **kept}
 

@@ -191,11 +191,11 @@ class Episodes:
         self._kept[rows], self._fault_step[rows] = state.kept, state.fault_step
         return self._observe(rows, self.crawl.simulation.state(rows), self.crawl.progress(rows))
 
-    def find_ended(self, rows: Rows) -> NDArray[np.bool_]:
-        """Return whether the episodes of robots have been terminated or truncated, (R,)."""
-        failure = self.crawl.failure[rows]
+    def find_ended(self, state: EpisodeState) -> NDArray[np.bool_]:
+        """Return whether the episodes in a state have been terminated or truncated, (R,)."""
+        failure = state.crawl.failure
         failed = failure != _NONE if self.config.terminate_on_failure else failure == _DIVERGED
-        ended: NDArray[np.bool_] = failed | (self._intervals[rows] >= self._limit)
+        ended: NDArray[np.bool_] = failed | (state.intervals >= self._limit)
         return ended
 
     def _scale_bodies(self, rows: Rows) -> None:
@@ -352,7 +352,7 @@ def check_rows(rows: Any, count: int) -> Rows:
     """
     array = to_array(rows)
     index = np.empty(0, dtype=np.int64) if array is None else np.asarray(rows)
-    if array is None or array.ndim != 1 or index.dtype.kind not in "iu":
+    if not index.size or index.ndim != 1 or index.dtype.kind not in "iu":
         raise CaterpillarError(f"rows must be a list of indices; got {show(rows)}")
     if ((index < 0) | (index >= count)).any():
         raise CaterpillarError(f"rows must be indices from 0 to {count - 1}; got {show(rows)}")

@@ -70,13 +70,15 @@ def name_of(path: Path) -> str:
 
 
 def write_bytes(path: Path, data: bytes, advice: str = ELSEWHERE) -> None:
-    """Write a file atomically. A symbolic link is followed, and not replaced.
+    """Write a file atomically. A symbolic link to a file is followed, and not replaced.
 
     Raises:
         CaterpillarError: the file cannot be written, for example because the disk is full. An existing
             file is unchanged.
     """
-    target = path.resolve()
+    target = Path(os.path.realpath(path))
+    if target.exists() and not target.is_file():
+        target = path  # replace a link to a device or a pipe, but not the device
     partial = target.with_name(f".{target.name}.partial")
     try:
         with writing(path, advice):

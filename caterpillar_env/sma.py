@@ -27,7 +27,7 @@ from caterpillar_env.errors import CaterpillarError, check_fields
 
 #: Number of temperatures at which each branch is tabulated.
 NODES = 1025
-_PERIODS = (11, 1000)  #: smallest and largest number of periods until the temperatures are periodic
+_PERIODS = (11, 1000)  #: smallest and largest number of periods that `settle` simulates
 _TIME_CONSTANTS = 20  #: duration until the temperatures are periodic, in time constants
 _TEMPERATURES = (-273.15, 2000.0)
 #: Bounds of the parameters. Most are at least a factor of 100 beyond plausible values. Outside the

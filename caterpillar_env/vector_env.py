@@ -60,6 +60,7 @@ class CaterpillarVectorEnv(
         step_s: simulated length of an environment step, s.
         episode_s: simulated length of an episode without failure, s.
         observation_names: name of every entry of an observation, in order.
+        config: settings of the episodes.
         crawl: the simulated robots: `crawl.progress()`, `crawl.simulation.state()` and so on.
         on_interval: function to call with the `Trace` of every control interval, or None. A trace has
             only the rows that moved in this interval.
@@ -148,8 +149,9 @@ class CaterpillarVectorEnv(
             rows: different indices of the robots to change, (R,); all by default.
 
         Raises:
-            CaterpillarError: the state has another number of robots or segments, an index is invalid, or
-                some rows have neither been reset nor get a state. No robot changes.
+            CaterpillarError: the state has another number of robots or segments, an index is invalid,
+                some rows have neither been reset nor get a state, or an episode has ended in SAME_STEP
+                mode, in which only running episodes have a state. No robot changes.
         """
         index = check_rows(range(self.num_envs) if rows is None else rows, self.num_envs)
         if len(np.unique(index)) < len(index):
@@ -159,13 +161,18 @@ class CaterpillarVectorEnv(
         if len(state.bodies) == len(index):  # otherwise, `Episodes.set_state` raises an error
             order = np.argsort(index)  # MuJoCo needs ascending rows
             index, state = index[order], state.rows(order)
+        ended = self._episodes.find_ended(state)
+        if self._mode is AutoresetMode.SAME_STEP and ended.any():
+            raise CaterpillarError(
+                f"the episodes of rows {index[ended].tolist()} have ended in this state; in SAME_STEP "
+                "mode, reset these rows instead"
+            )
         self._observations[index] = self._episodes.set_state(state, index)
         self._make_generators([None] * self.num_envs)
         for row, known in zip(index, state.generators, strict=True):
             if (generator := make_generator(known)) is not None:
                 self._generators[row], self._seeds[row] = generator, -1
-        if self._mode is not AutoresetMode.SAME_STEP:
-            self._done[index] = self._episodes.find_ended(index)
+        self._done[index] = ended
         self._running = True
 
     @property  # type: ignore[misc]
@@ -190,7 +197,7 @@ class CaterpillarVectorEnv(
         """Return the arguments and the state, for `copy.deepcopy` and pickle."""
         state = (self.get_state(), self._observations) if self._running else None
         random = copy.deepcopy((self._generators, self._seeds))
-        spaces = {name: getattr(self, name) for name in _SPACES}  # they have random generators
+        spaces = copy.deepcopy({name: getattr(self, name) for name in _SPACES})  # with their generators
         kept = {"spec": self._spec, "random": random, "spaces": spaces, "state": state}
         return {**EzPickle.__getstate__(self), **kept}
 

@@ -31,8 +31,8 @@ class PreprocessArgs:
     json: bool = False
     """Print JSON instead of tables, with values in SI units."""
     out: Path = Path("preprocess.png")
-    """File for the plot of the densities: .png, .svg or .pdf. With a gait prior, a second plot,
-    NAME-gait, is written beside it."""
+    """File for the plot of the densities: .png, .svg or .pdf. With the K_i stroke and advance, a second
+    plot, NAME-gait, is written beside it."""
     genome: GenomeKind = "shared"
     """Kind of genome. full: gait genes for every spring; per-segment: body genes for every segment."""
     timing: Timing = "on-off"
@@ -81,7 +81,7 @@ def preprocess_command(argv: Sequence[str]) -> int:
         if found:
             cli.print_table(_make_search_table(found), width=160)
     drawings = {args.out: figures.densities(priors)}
-    if "gait" in args.prior:
+    if {"stroke", "advance"} <= {search.parameter.name for search in found}:
         drawings[args.out.with_stem(f"{args.out.stem}-gait")] = figures.gait_search(found)
     for path, figure in drawings.items():
         figures.save(figure, path, ELSEWHERE)

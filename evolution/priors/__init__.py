@@ -51,8 +51,8 @@ def design_parameters(
     if without != "none" and len(kept) == len(found):
         names = ", ".join(k.name for k in found) or "none"
         raise CaterpillarError(
-            f"prior_without = {without!r} must be a design parameter of prior = {prior!r}, which has "
-            f"{names}"
+            f"the design parameter to leave out, {without!r}, must belong to the prior {prior!r}, which "
+            f"has {names}"
         )
     return kept
 

@@ -68,7 +68,7 @@ class Times(NamedTuple):
     #: Speed-up in generations, as in the paper: the number of generations that defines the threshold,
     #: divided by the number after which the arm's median run reaches it. 0 if fewer than half of the
     #: runs reach it; None for a fixed threshold, or another algorithm than that of the reference of the
-    #: study. A reference exceeds 1 if its own median run reaches the threshold earlier.
+    #: study. The value of a reference exceeds 1 if its median run reaches the threshold earlier.
     acceleration: Estimate | None
     running_time_s: Estimate  #: expected running time (ERT) within the study's `budget_s`
     speed_up: Estimate | None  #: ratio of ERTs, reference to arm; None for a reference

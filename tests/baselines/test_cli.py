@@ -154,6 +154,8 @@ def test_stopped_training_is_listed_and_resumed(tmp_path, capsys, monkeypatch):
     assert cli.main(["rl", "resume", str(folder), "--no-video"]) == 0
     assert capsys.readouterr().out.startswith("best: ")
     assert Training.read(folder).history.finished
+    assert cli.main(["rl", "resume", str(folder), "--no-video"]) == 0
+    assert "already finished" in capsys.readouterr().err
 
 
 def test_train_without_a_best_policy_writes_no_video(tmp_path, capsys):

@@ -278,11 +278,16 @@ def test_every_kind_of_training_can_be_resumed(tmp_path, monkeypatch, fields):
         assert_same_runs(tmp_path / "whole", folder)
 
 
-def test_missing_best_policy_is_reported_before_training(tmp_path):
-    history = train(config(), tmp_path, on_evaluation=stop_after(2)).history
+@pytest.mark.parametrize("distances_m", [(0.01, 0.02), (0.02, 0.01)], ids=["last", "earlier"])
+def test_missing_best_policy_is_written_again_or_reported(tmp_path, monkeypatch, distances_m):
+    outcomes = iter([outcome(0.5, Failure.TIPPED), *(outcome(metres, 0) for metres in distances_m)])
+    with monkeypatch.context() as patch:
+        patch.setattr(Policy, "crawl", lambda *_args, **_more: next(outcomes))
+        history = train(config(evaluations=4), tmp_path, on_evaluation=stop_after(3)).history
     (tmp_path / "best.npz").unlink()
-    if history.best is history.evaluations[-1]:
-        resume(tmp_path)
+    if distances_m == (0.01, 0.02):
+        assert history.best is history.evaluations[-1]
+        resume(tmp_path, on_evaluation=stop_after(1))
         assert (tmp_path / "best.npz").exists()
     else:
         with pytest.raises(CaterpillarError, match=r"best\.npz is missing; restore a copy of it"):

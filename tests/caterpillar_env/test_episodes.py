@@ -182,13 +182,16 @@ def test_rows_can_be_a_list_in_any_order():
         (1, "rows must be a list of indices; got 1"),
         ([1, 1], "rows must not repeat an index; got"),
         ([0, 1], "must have 2 robots"),
+        ([], "rows must be a list of indices; got"),
+        (np.empty(0, dtype=int), "rows must be a list of indices; got"),
     ],
     ids=str,
 )
 def test_invalid_rows_change_nothing(env, rows, message):
     envs = CaterpillarVectorEnv(3, threads=1, **SETTINGS)
     envs.reset(seed=0)
-    twin, states = copy.deepcopy(envs), env.get_state().rows([0] * len(np.atleast_1d(rows)))
+    count = max(len(np.atleast_1d(rows)), 1)
+    twin, states = copy.deepcopy(envs), env.get_state().rows([0] * count)
     states = states.rows([0]) if "robots" in message else states
     with pytest.raises(CaterpillarError, match=message):
         envs.set_state(states, rows)
@@ -196,16 +199,20 @@ def test_invalid_rows_change_nothing(env, rows, message):
     np.testing.assert_array_equal(envs.step(actions)[0], twin.step(actions)[0])
 
 
-@pytest.mark.parametrize("mode", ["NextStep", "Disabled"])
+@pytest.mark.parametrize("mode", ["NextStep", "Disabled", "SameStep"])
 def test_state_remembers_that_the_episode_has_ended(mode):
+    nothing = np.zeros((2, 12))
+    source = CaterpillarVectorEnv(2, threads=1, **SETTINGS)
+    source.reset(seed=0)
+    while not source.step(nothing)[3].all():
+        pass
     envs = CaterpillarVectorEnv(2, threads=1, autoreset_mode=mode, **SETTINGS)
     envs.reset(seed=0)
-    nothing = np.zeros((2, 12))
-    while not envs.step(nothing)[3].all():
-        pass
-    state = envs.get_state()
-    envs.reset()
-    envs.set_state(state)
+    if mode == "SameStep":
+        with pytest.raises(CaterpillarError, match=r"the episodes of rows \[0, 1\] have ended"):
+            envs.set_state(source.get_state())
+        return
+    envs.set_state(source.get_state())
     if mode == "Disabled":
         with pytest.raises(CaterpillarError, match="have ended"):
             envs.step(nothing)

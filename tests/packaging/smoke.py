@@ -1,6 +1,7 @@
 """Run by an interpreter that has only the wheel, outside the checkout."""
 
 import importlib.util
+import os
 import subprocess
 import sys
 from importlib.metadata import files
@@ -40,9 +41,10 @@ subprocess.run([*run, "--generations", "2", "--out", here / "run"], check=True)
 subprocess.run([command, "replay", here / "run", "--no-video"], check=True)
 page = (here / "run" / "report.html").read_text("utf-8")
 assert "<h1>" in page, "the page was not packed"
-doctor = subprocess.run([command, "doctor"], check=True, capture_output=True, text=True).stdout
-print(doctor)
-if "drew a frame" in doctor:
+doctor = subprocess.run([command, "doctor"], capture_output=True, text=True)
+print(doctor.stdout, doctor.stderr)
+assert doctor.returncode == 0, "a package is missing"
+if "drew a frame" in doctor.stdout or "CI" in os.environ:  # machines of the workflows can draw
     assert (here / "run" / "best.mp4").stat().st_size > 10_000
     assert "<video" in page
 print("the wheel works outside the checkout")

@@ -19,7 +19,7 @@ SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 WITH_OWN_TEST = {"crawl.py", "plain_mujoco.py"}
 #: Replacements in the code of the examples, so that the tests simulate fewer robots and steps.
 FEWER = {
-    "compare.py": ("SEEDS = (0, 1)", "SEEDS = (0,)"),
+    "compare.py": ("SEEDS, BUDGET_S = (0, 1), 500", "SEEDS, BUDGET_S = (0,), 500"),
     "evolve.py": ("generations=3", "generations=2"),
     "planning.py": ("TRIALS, PERIODS = 32, 6", "TRIALS, PERIODS = 4, 2"),
     "ppo.py": ("NUM_ENVS, STEPS, EPOCHS = 8, 6, 10", "NUM_ENVS, STEPS, EPOCHS = 2, 6, 10"),

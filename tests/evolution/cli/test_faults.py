@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from caterpillar_env.files import name_of
+from caterpillar_env.files import name_of, write_bytes
 from evolution import cli
 from evolution.cli.running import Reporter
 from evolution.report import run_page
@@ -214,6 +214,15 @@ def test_an_export_to_a_link_changes_its_target(run, tmp_path):
         assert cli.main(["export", str(run), "--out", str(tmp_path / "link")]) == 0
         assert (tmp_path / "rows.csv").read_text().startswith("evaluation")
     assert (tmp_path / "link").is_symlink()
+
+
+@pytest.mark.parametrize("target", ["loop", "pipe"])
+def test_links_that_lead_to_no_file_are_replaced(run, tmp_path, target):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to(tmp_path / target)
+    write_bytes(tmp_path / "loop", b"content")
+    assert (tmp_path / "loop").read_bytes() == b"content"
+    assert (tmp_path / "pipe").is_fifo()
 
 
 def test_pages_and_figures_replace_pipes(run, tmp_path):
