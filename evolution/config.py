@@ -65,7 +65,9 @@ class RunConfig:
     physics: Physics = field(default_factory=Physics)
 
     def __post_init__(self) -> None:
-        check_fields(self, {"seed": (0, 2**63), "generations": (1, 2**63)})
+        # With an extreme fitness of failed robots, sums of SHADE would overflow.
+        bounds = {"seed": (0, 2**63), "generations": (1, 2**63), "failed_fitness": (-1e100, 1e100)}
+        check_fields(self, bounds)
         for name in ("budget_s", "target_m"):
             value = getattr(self, name)
             if value is not None and value <= 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from typing import Literal
 
@@ -55,7 +56,8 @@ def score(objective: Objective, outcomes: Outcomes, failed_fitness: float) -> Ar
             robot that did not fail.
     """
     healthy = outcomes.failure == Failure.NONE
-    values = np.asarray(objective(outcomes), dtype=np.float64)
+    # Copies, because an objective may change its argument.
+    values = np.array(objective(copy.deepcopy(outcomes)), dtype=np.float64)
     if values.shape != healthy.shape or not np.isfinite(values[healthy]).all():
         raise CaterpillarError(
             f"an objective must return {len(healthy)} finite numbers, one per robot, shape "

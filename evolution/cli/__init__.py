@@ -14,7 +14,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import entry_points, version
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
 
 from caterpillar_env.errors import CaterpillarError
 
@@ -181,7 +181,27 @@ def console() -> Console:
     """Return a console on stderr for progress and messages, without markup or line wrapping."""
     from rich.console import Console
 
-    return Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
+    file = cast(IO[str], _Progress(sys.stderr))
+    return Console(file=file, markup=False, highlight=False, soft_wrap=True)
+
+
+class _Progress:
+    """A stream that ignores errors, so that a closed terminal does not end a run."""
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        with contextlib.suppress(OSError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with contextlib.suppress(OSError):
+            self._stream.flush()
 
 
 def bar(console: Console) -> Progress:

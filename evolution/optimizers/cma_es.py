@@ -100,6 +100,7 @@ class CmaEs(GenerationalOptimizer):
             "seed": np.nan,  # keeps pycma from seeding NumPy's global generator
             "verbose": -9,
             "verb_log": 0,
+            "signals_filename": "",  # pycma would read options from a file in the working folder
             "tolflatfitness": 20,
         }
         if population is not None:

@@ -6,7 +6,6 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -117,15 +116,26 @@ class History:
             raise CaterpillarError(f"{self._journal.path}: {error}") from None
 
     def configure(self, config: RunConfig) -> None:
-        """Replace the configuration of an evolutionary run, for example by one with more generations."""
+        """Replace the configuration of an evolutionary run, for example by one with a larger budget."""
         self.configuration |= config.to_dict()
         self._journal.configure(self.configuration)
         self.config = config
 
+    def extend(self, generations: int) -> None:
+        """Change the number of generations. `begin` records the new number."""
+        self.config = replace(self.config, generations=generations)
+        self.configuration |= self.config.to_dict()
+
     def begin(self, packages: Sequence[str] = ()) -> None:
         """Begin a session, see `Journal.begin`."""
-        self._journal.begin(packages)
+        changed = self.configuration != self._journal.configuration
+        self._journal.begin(packages, self.configuration if changed else None)
         self.sessions = self._journal.sessions
+
+    @property
+    def replaying(self) -> bool:
+        """Whether the next generation is complete in the journal."""
+        return len(self.generations) < len(self._completions)
 
     @property
     def simulated_s(self) -> float:
@@ -268,7 +278,7 @@ class History:
         This records the completion, and writes the best robot to best.json if it changed.
         """
         number, before = len(self.generations), self.best
-        known = number < len(self._completions)
+        known = self.replaying
         outcomes = self._advance()
         if self.best is not None and self.kind == "evolution":
             file, is_last = self.folder / "best.json", len(self.generations) == len(self._completions)
@@ -287,8 +297,10 @@ class History:
     def _next_rows(self) -> list[Evaluation]:
         """Return the evaluations of the next generation that are already in the journal."""
         first = self.generations[-1].evaluations if self.generations else 0
-        number = len(self.generations)
-        return list(takewhile(lambda e: e.generation == number, self.evaluations[first:]))
+        number, end = len(self.generations), first
+        while end < len(self.evaluations) and self.evaluations[end].generation == number:
+            end += 1
+        return self.evaluations[first:end]
 
     def _find_completion(self, rows: Sequence[Evaluation], outcomes: Outcomes) -> Completion:
         """Return the completion of the next generation, given all of its evaluations."""

@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from caterpillar_env.arrays import Array
+from caterpillar_env.errors import check_number
 from caterpillar_env.files import parse_json
 from caterpillar_env.task import Failure
 from evolution.run import schema
@@ -43,6 +44,7 @@ from evolution.run.database import (
 
 FILE = "journal.sqlite"
 _PACKAGES = ("caterpillar-sma", "mujoco", "numpy", "scipy", "cma")
+_MEASURED = ("distance_m", "energy_j", "simulated_s")
 FAILURES = {failure.label: failure for failure in Failure}  #: by `Failure.label`
 
 
@@ -160,16 +162,20 @@ class Journal:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """The configuration of the run, as given to `create` or `configure`."""
+        """The configuration of the run, as given to `create`, `configure` or `begin`."""
         rows = list(self._read("run"))
         if len(rows) != 1:
             raise damaged(self.path, f"it has {len(rows)} configurations")
         return self._parse(rows[0][0], "the configuration")
 
     def configure(self, configuration: Mapping[str, Any]) -> None:
-        """Replace the configuration, for example by one with more generations."""
+        """Replace the configuration, for example by one with a larger budget."""
+        with explain_errors(self.path), self._db:
+            self._configure(configuration)
+
+    def _configure(self, configuration: Mapping[str, Any]) -> None:
         text = json.dumps(configuration)
-        self._write("UPDATE run SET configuration = ?, digest = ?", (text, digest([text])))
+        self._db.execute("UPDATE run SET configuration = ?, digest = ?", (text, digest([text])))
 
     @property
     def sessions(self) -> list[Session]:
@@ -184,14 +190,21 @@ class Journal:
             found.append(session)
         return found
 
-    def begin(self, packages: Sequence[str] = ()) -> None:
+    def begin(
+        self, packages: Sequence[str] = (), configuration: Mapping[str, Any] | None = None
+    ) -> None:
         """Begin a session.
 
         Args:
             packages: names of further packages whose versions are recorded, see `fingerprint`.
+            configuration: replaces the configuration, for example by one with more generations.
         """
         number = 1 + sum(1 for _ in self._read_numbered("sessions", "session", first=1))
-        self._insert("sessions", [(number, _now(), json.dumps(fingerprint(packages)), None)])
+        row = (number, _now(), json.dumps(fingerprint(packages)), None)
+        with explain_errors(self.path), self._db:
+            if configuration is not None:
+                self._configure(configuration)
+            self._db.execute("INSERT INTO sessions VALUES (?, ?, ?, ?, ?)", (*row, digest(row)))
 
     def finish(self) -> None:
         """Record that the run ended in its last session."""
@@ -216,6 +229,7 @@ class Journal:
         """Add evaluations in one transaction.
 
         Raises:
+            CaterpillarError: a distance, an energy or a time is not a finite number.
             JournalError: the file cannot be written, for example because the disk is full; the journal
                 is unchanged.
         """
@@ -224,7 +238,8 @@ class Journal:
             [
                 (
                     e.number, e.generation, np.asarray(e.genome, dtype="<f8").tobytes(),
-                    e.failure.label, e.distance_m, e.energy_j, e.simulated_s, e.session,
+                    e.failure.label,
+                    *(float(check_number(name, getattr(e, name))) for name in _MEASURED), e.session,
                 )
                 for e in evaluations
             ],
@@ -238,8 +253,10 @@ class Journal:
         """Add rows, with their digests."""
         with explain_errors(self.path), self._db:
             for row in rows:
-                places = ", ".join("?" * len(row))
-                self._db.execute(f"INSERT INTO {table} VALUES ({places}, ?)", (*row, digest(row)))
+                # SQLite stores -0.0 as 0.0, which has another digest.
+                values = [value + 0.0 if isinstance(value, float) else value for value in row]
+                places = ", ".join("?" * len(values))
+                self._db.execute(f"INSERT INTO {table} VALUES ({places}, ?)", (*values, digest(values)))
 
     def _write(self, statement: str, values: Sequence[Any]) -> None:
         """Run a statement in a transaction."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -127,7 +126,7 @@ def resume(
         optimizer = history.config.make_optimizer() if optimizer is None else optimizer
         with LocalEvaluator() if evaluator is None else evaluator as workers:
             if generations is not None:  # only once the evaluator is available
-                history.configure(replace(history.config, generations=generations))
+                history.extend(generations)
             return _run(history, optimizer, workers, on_generation, on_progress)
 
 
@@ -138,8 +137,7 @@ def _run(
     on_generation: Callable[[Generation], None] | None,
     on_progress: OnProgress | None,
 ) -> History:
-    config = history.config
-    history.begin()
+    config, begun = history.config, False
     try:
         while history.stop_reason() is None:
             # A copy, because the optimizer may change its genomes in `tell`.
@@ -147,29 +145,40 @@ def _run(
             if not len(genomes):
                 raise CaterpillarError("the optimizer proposed no genomes; `ask` must return some")
             recorded = history.count_recorded(genomes)
-            _evaluate(history, genomes[recorded:], evaluator, on_progress)
+            if not (begun or history.replaying):  # a replay that fails leaves the journal unchanged
+                history.begin()
+                begun = True
+            _evaluate(history, genomes, recorded, evaluator, on_progress)
             outcomes = history.complete()
-            optimizer.tell(genomes, score(history.objective, outcomes, config.failed_fitness))
+            fitness = score(history.objective, outcomes, config.failed_fitness)
+            optimizer.tell(genomes.copy(), fitness)
             if on_generation is not None:
                 on_generation(history.generations[-1])
+        if not begun:
+            history.begin()
         history.finish()
     except KeyboardInterrupt:
-        pass
+        if not begun:
+            history.begin()
     return history
 
 
 def _evaluate(
-    history: History, genomes: Array, evaluator: Evaluator, on_progress: OnProgress | None
+    history: History,
+    genomes: Array,
+    recorded: int,
+    evaluator: Evaluator,
+    on_progress: OnProgress | None,
 ) -> None:
-    """Evaluate and record genomes (P, n), one chunk at a time."""
-    config = history.config
-    if not len(genomes):
+    """Evaluate and record genomes (P, n) after the first `recorded` ones, one chunk at a time."""
+    config, share = history.config, recorded / len(genomes)
+    if recorded == len(genomes):
         return
-    if config.race_share < 1.0:
+    if config.race_share < 1.0:  # a race is recorded as a whole
         history.append(genomes, race(genomes, config, history.objective, evaluator, on_progress))
         return
-    jobs = [Job(chunk) for chunk in evaluator.split(genomes)]
-    with closing(run_jobs(evaluator, config.encoding, jobs, on_progress)) as results:
+    jobs = [Job(chunk) for chunk in evaluator.split(genomes[recorded:])]
+    with closing(run_jobs(evaluator, config.encoding, jobs, on_progress, share)) as results:
         for job, result in zip(jobs, results, strict=True):
             history.append(job.genomes, result.outcomes)
 

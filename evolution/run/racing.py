@@ -62,7 +62,7 @@ def race(
 
 def count_leaders(share: float, robots: int) -> int:
     """Return the number of robots that continue: their share, rounded up."""
-    return math.ceil(round(share * robots, 9))  # 0.07 * 100 is slightly more than 7
+    return max(1, math.ceil(round(share * robots, 9)))  # 0.07 * 100 is slightly more than 7
 
 
 def leaders(fitness: Array, count: int) -> Rows:

@@ -174,7 +174,7 @@ def summarize(analysis: Analysis) -> list[str]:
             "these results cover the others."
         )
     for threshold, rows in analysis.times.items():
-        lines += [_summarize_times(threshold, row, config.reference_of(row.arm)) for row in rows]
+        lines += [_summarize_times(config, threshold, row) for row in rows]
     for time_s, distances in analysis.distances.items():
         medians = {row.arm: row.median_m.value for row in distances}
         lines += [
@@ -211,14 +211,19 @@ def summarize(analysis: Analysis) -> list[str]:
     return lines
 
 
-def _summarize_times(threshold: Threshold, row: Times, reference: str) -> str:
+def _summarize_times(config: StudyConfig, threshold: Threshold, row: Times) -> str:
+    reference = config.reference_of(row.arm)
+    has_longer_runs = row.arm == config.reference and bool(config.long_seeds)
     if np.isnan(row.threshold_m):
         return f"{row.arm}: {threshold} is 0 or not known yet."
     level = _mm(row.threshold_m)
     if threshold.fixed_m is None:
         level = f"{threshold} ({level})"
     line = f"{row.arm}: {row.reached} of {_count_runs(row.runs)} reached {level}"
+    if has_longer_runs:
+        line += f" within {config.budget_s:,.0f} simulated seconds"
     if row.median_generations is not None and np.isfinite(row.median_generations.value):
+        line += "; with the longer runs" if has_longer_runs else ""
         line += f", the median run after {_count_generations(row.median_generations)}"
     if row.arm != reference and row.acceleration is not None and row.acceleration.value > 0:
         line += f", {format_estimate(row.acceleration)} times as fast as {reference}"

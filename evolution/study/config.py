@@ -245,7 +245,7 @@ def begin(config: StudyConfig, folder: Path) -> None:
             )
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        if not file.exists() and any(folder.iterdir()):
+        if not file.exists() and any(path.name[0] != "." for path in folder.iterdir()):
             raise CaterpillarError(
                 f"{folder} is not empty and contains no study; choose another folder with --out"
             )

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from evolution.config import RunConfig
 from evolution.study import statistics
 from evolution.study.arms import EvolutionArm
 from evolution.study.config import StudyConfig
@@ -44,7 +44,7 @@ def find_trends(config: StudyConfig, runs: Runs, threshold: Threshold, rows: lis
         ):
             continue
         run = arm.config
-        if replace(run, prior=base.config.prior) == base.config:
+        if _without_prior(run) == _without_prior(base.config):
             name = f"{run.optimizer}, prior {run.prior}, genome {run.genome}, timing {run.timing}"
             found.setdefault(name, []).append((len(run.encoding.genes), row.arm, row.speed_up))
     trends = []
@@ -54,6 +54,11 @@ def find_trends(config: StudyConfig, runs: Runs, threshold: Threshold, rows: lis
             per_doubling = _fit(config, runs, threshold, genes, arms)
             trends.append(Trend(name, genes, speed_ups, per_doubling))
     return trends
+
+
+def _without_prior(run: RunConfig) -> dict[str, Any]:
+    """Return all settings but the prior. (`replace` would refuse some priors with other settings.)"""
+    return {name: value for name, value in run.to_dict().items() if name != "prior"}
 
 
 def _fit(

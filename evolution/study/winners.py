@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -228,7 +229,11 @@ def load_winner(config: StudyConfig, folder: Path, arm: str, run: Run) -> AnyRob
         pass
     with tempfile.TemporaryDirectory() as scratch:
         rows = read_kept(folder)[cell]
-        config.arms[arm].restore(rows, Path(scratch, "run"), run.seed, config.budget_of(cell))
+        try:
+            config.arms[arm].restore(rows, Path(scratch, "run"), run.seed, config.budget_of(cell))
+        except CaterpillarError as error:  # the versions of the packages differ
+            warnings.warn(f"the winner of {cell} is left out: {error}", stacklevel=2)
+            return None
         return config.arms[arm].robot(Path(scratch, "run"), number)
 
 

@@ -1,7 +1,9 @@
 """The progress of a run, and the files that are written at its end."""
 
+import errno
 import io
 import re
+import sys
 import time
 
 import pytest
@@ -50,6 +52,19 @@ def test_share_done_never_decreases(budget_s):
             done.append(reporter.share_done)
     assert done == sorted(done)
     assert done[-1] == pytest.approx(1.0)
+
+
+def test_progress_ignores_a_closed_terminal(monkeypatch):
+    class Closed(io.StringIO):
+        def write(self, *text):
+            raise OSError(errno.EIO, "Input/output error")
+
+        flush = write
+
+    monkeypatch.setattr(sys, "stderr", Closed())
+    console = cli.console()
+    console.print("generation 0")
+    assert not console.is_terminal
 
 
 def test_threads_and_a_ray_cluster_are_not_combined():

@@ -398,6 +398,69 @@ def test_own_part_of_a_run_without_one_is_an_error(tmp_path, invented, given):
         resume(tmp_path, evaluator=invented, **given)
 
 
+def test_best_value_of_minus_zero_is_recorded(tmp_path, invented):
+    def penalty(outcomes):
+        return -np.maximum(outcomes.distance_m - 1.0, 0.0)  # -0.0 for all robots
+
+    result = evolve(TINY, tmp_path, objective=penalty, evaluator=invented)
+    assert load(tmp_path).best.number == result.best.number
+    assert load(tmp_path).finished
+
+
+@pytest.mark.parametrize("race_share", [1.0, 0.5])
+def test_objective_may_change_its_argument(tmp_path, race_share):
+    def in_place(outcomes):
+        values = outcomes.distance_m
+        values -= 0.001 * outcomes.energy_j
+        return values
+
+    def pure(outcomes):
+        return outcomes.distance_m - 0.001 * outcomes.energy_j
+
+    config = replace(TINY, race_share=race_share)
+    tables = []
+    for name, objective in (("one", in_place), ("other", pure)):
+        evolve(config, tmp_path / name, objective=objective, evaluator=ONE)
+        tables.append(load(tmp_path / name).table())
+    assert tables[0].equals(tables[1])
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_outcomes_that_are_not_finite_are_refused_at_once(tmp_path, invented, value):
+    class Broken(LocalEvaluator):
+        def map(self, encoding, jobs, on_progress=None):
+            for result in invented.map(encoding, jobs):
+                energy_j = np.full_like(result.outcomes.energy_j, value)
+                yield result._replace(outcomes=result.outcomes._replace(energy_j=energy_j))
+
+    with pytest.raises(CaterpillarError, match=r"energy_j = .* must be a finite number"):
+        evolve(TINY, tmp_path, evaluator=Broken())
+    assert len(load(tmp_path).evaluations) == 0
+
+
+def test_outcomes_of_integers_are_recorded(tmp_path, invented):
+    class Whole(LocalEvaluator):
+        def map(self, encoding, jobs, on_progress=None):
+            for result in invented.map(encoding, jobs):
+                energy_j = np.ones(len(result.outcomes.energy_j), dtype=int)
+                yield result._replace(outcomes=result.outcomes._replace(energy_j=energy_j))
+
+    evolve(TINY, tmp_path, evaluator=Whole())
+    assert set(load(tmp_path).table()["energy_j"]) == {1.0}
+
+
+def test_extension_that_fails_leaves_a_finished_run_as_it_is(tmp_path, invented):
+    evolve(TINY, tmp_path, optimizer=Sampler(3), evaluator=invented)
+    before = (tmp_path / "journal.sqlite").read_bytes()
+    with pytest.raises(CaterpillarError, match="has 3 genomes, but the optimizer proposes 4"):
+        resume(tmp_path, generations=9, optimizer=Sampler(4), evaluator=invented)
+    assert (tmp_path / "journal.sqlite").read_bytes() == before
+    longer = resume(tmp_path, generations=4, optimizer=Sampler(3), evaluator=invented)
+    assert load(tmp_path).finished
+    assert len(load(tmp_path).generations) == load(tmp_path).config.generations == 4
+    assert longer.finished
+
+
 def test_own_optimizer_may_be_empty_and_change_its_genomes(tmp_path, invented):
     class InPlace(Sampler):
         def __len__(self):
@@ -409,6 +472,7 @@ def test_own_optimizer_may_be_empty_and_change_its_genomes(tmp_path, invented):
 
         def tell(self, genomes, fitness):
             self.genomes[:] = 0.0
+            genomes[:] = 0.0
 
     history = evolve(TINY, tmp_path, optimizer=InPlace(3), evaluator=invented)
     assert len(history.evaluations) == 3 * TINY.generations

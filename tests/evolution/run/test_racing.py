@@ -47,7 +47,9 @@ def test_leaders_are_the_best_in_order_of_their_index():
     assert leaders(fitness, 5).tolist() == [0, 1, 2, 3]  # a failed robot never leads
 
 
-@pytest.mark.parametrize(("share", "robots", "count"), [(0.3, 7, 3), (0.07, 100, 7), (0.01, 7, 1)])
+@pytest.mark.parametrize(
+    ("share", "robots", "count"), [(0.3, 7, 3), (0.07, 100, 7), (0.01, 7, 1), (1e-10, 4, 1)]
+)
 def test_share_of_the_leaders_is_rounded_up(share, robots, count):
     assert count_leaders(share, robots) == count
 

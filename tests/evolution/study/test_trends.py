@@ -5,7 +5,7 @@ import polars
 import pytest
 
 from evolution.study.analysis import analyse, summarize
-from evolution.study.config import StudyConfig
+from evolution.study.config import StudyConfig, preset
 from evolution.study.results import Results
 
 
@@ -72,3 +72,19 @@ def test_trend_is_unknown_if_both_arms_of_a_robot_never_arrive(few_draws):
 
 def test_one_robot_has_no_trend(few_draws):
     assert compare({"4-uniform": 20, "4-body": 20, "other": 10}).trends == []
+
+
+@pytest.mark.parametrize("name", ["paper", "ablation", "conjecture", "search", "worlds", "pilot"])
+def test_arms_of_every_preset_can_be_analysed(name, few_draws):
+    config, rows = preset(name), []
+    for arm in config.arms:
+        for seed in (0, 1):
+            rows += [
+                {
+                    "arm": arm, "seed": seed, "evaluation": number, "generation": number // 10,
+                    "distance_m": 0.001 * number, "simulated_s": 30.0, "failure": "ok", "stopped": False,
+                }
+                for number in range(20)
+            ]  # fmt: skip
+    found = analyse(config, Results(polars.DataFrame(rows), []))
+    assert {row.arm for row in found.distances[config.budget_s]} == set(config.arms)
