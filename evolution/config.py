@@ -181,7 +181,8 @@ class RunConfig:
                 crawled = f"a robot crawled {1000 * farthest_m:.1f} mm"
                 return f"{target} was reached in generation {completed - 1}, where {crawled}"
             missed = f"; {target} was not reached"
-        if self.budget_s is not None and simulated_s >= self.budget_s:
+        # Rounded, because a study adds the times in another order.
+        if self.budget_s is not None and round(simulated_s, 6) >= self.budget_s:
             return f"the budget of {self.budget_s:,.0f} simulated seconds is spent{missed}"
         if completed >= self.generations:
             return f"all {completed} generations are complete{missed}"

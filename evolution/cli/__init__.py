@@ -181,7 +181,7 @@ def console() -> Console:
     """Return a console on stderr for progress and messages, without markup or line wrapping."""
     from rich.console import Console
 
-    file = cast(IO[str], _Progress(sys.stderr))
+    file = cast(IO[str], _Progress(sys.stderr or io.StringIO()))  # None if stderr is closed
     return Console(file=file, markup=False, highlight=False, soft_wrap=True)
 
 

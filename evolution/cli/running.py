@@ -104,12 +104,13 @@ class Reporter:
 
 def finish(history: History, console: Console, *, video: bool) -> int:
     """Report why a run ended, write its video and page, and return the exit status."""
-    if history.finished:
+    is_over = history.finished and history.stop_reason() is not None  # None if a replay was stopped
+    if is_over:
         console.print(f"finished: {history.stop_reason()}")
     else:
         console.print(f"stopped; continue with: caterpillar resume {shlex.quote(str(history.folder))}")
     write_results(history, console, video=video)
-    return 0 if history.finished else 130
+    return 0 if is_over else 130
 
 
 def write_results(history: History, console: Console, *, video: bool) -> None:

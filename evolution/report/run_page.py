@@ -162,10 +162,11 @@ def next_commands(history: History, folder: str) -> list[tuple[str, str]]:
             (f"caterpillar view {folder}", "watch the robot in the browser, and change it by hand"),
         ]
     more = 2 * history.config.generations
-    if history.own_optimizer is None and history.own_objective is None:
-        if not history.finished and not is_in_use(history.folder):
+    own = history.own_optimizer is not None or history.own_objective is not None
+    if not own and not is_in_use(history.folder):
+        if not history.finished:
             commands.append((f"caterpillar resume {folder}", "continue the run"))
-        elif history.finished and history.stop_reason(more) is None:
+        elif history.stop_reason(more) is None:
             commands.append((f"caterpillar resume {folder} --generations {more}", "make the run longer"))
     return commands
 

@@ -115,15 +115,9 @@ class History:
         except CaterpillarError as error:
             raise CaterpillarError(f"{self._journal.path}: {error}") from None
 
-    def configure(self, config: RunConfig) -> None:
-        """Replace the configuration of an evolutionary run, for example by one with a larger budget."""
-        self.configuration |= config.to_dict()
-        self._journal.configure(self.configuration)
-        self.config = config
-
-    def extend(self, generations: int) -> None:
-        """Change the number of generations. `begin` records the new number."""
-        self.config = replace(self.config, generations=generations)
+    def change(self, **fields: Any) -> None:
+        """Change fields of the configuration, such as `generations`. `begin` records the changes."""
+        self.config = replace(self.config, **fields)
         self.configuration |= self.config.to_dict()
 
     def begin(self, packages: Sequence[str] = ()) -> None:

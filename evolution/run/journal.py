@@ -162,20 +162,11 @@ class Journal:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """The configuration of the run, as given to `create`, `configure` or `begin`."""
+        """The configuration of the run, as given to `create` or `begin`."""
         rows = list(self._read("run"))
         if len(rows) != 1:
             raise damaged(self.path, f"it has {len(rows)} configurations")
         return self._parse(rows[0][0], "the configuration")
-
-    def configure(self, configuration: Mapping[str, Any]) -> None:
-        """Replace the configuration, for example by one with a larger budget."""
-        with explain_errors(self.path), self._db:
-            self._configure(configuration)
-
-    def _configure(self, configuration: Mapping[str, Any]) -> None:
-        text = json.dumps(configuration)
-        self._db.execute("UPDATE run SET configuration = ?, digest = ?", (text, digest([text])))
 
     @property
     def sessions(self) -> list[Session]:
@@ -203,7 +194,8 @@ class Journal:
         row = (number, _now(), json.dumps(fingerprint(packages)), None)
         with explain_errors(self.path), self._db:
             if configuration is not None:
-                self._configure(configuration)
+                text = json.dumps(configuration)
+                self._db.execute("UPDATE run SET configuration = ?, digest = ?", (text, digest([text])))
             self._db.execute("INSERT INTO sessions VALUES (?, ?, ?, ?, ?)", (*row, digest(row)))
 
     def finish(self) -> None:

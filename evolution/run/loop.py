@@ -76,6 +76,7 @@ def resume(
     folder: Path | str,
     *,
     generations: int | None = None,
+    budget_s: float | None = None,
     evaluator: Evaluator | None = None,
     optimizer: Optimizer | None = None,
     objective: Objective | None = None,
@@ -83,11 +84,12 @@ def resume(
     on_progress: OnProgress | None = None,
     on_warning: Callable[[str], None] | None = None,
 ) -> History:
-    """Continue a run. A finished run is only replayed, unless `generations` makes it longer.
+    """Continue a run. A finished run is only replayed, unless an argument makes it longer.
 
     Args:
         folder: run folder.
         generations: new total number of generations, to make the run longer.
+        budget_s: new total budget in simulated seconds, to make the run longer.
         evaluator: see `evolve`.
         optimizer: your own optimizer in its initial state, if the run used one.
         objective: your own objective, if the run used one.
@@ -126,7 +128,9 @@ def resume(
         optimizer = history.config.make_optimizer() if optimizer is None else optimizer
         with LocalEvaluator() if evaluator is None else evaluator as workers:
             if generations is not None:  # only once the evaluator is available
-                history.extend(generations)
+                history.change(generations=generations)
+            if budget_s is not None:
+                history.change(budget_s=budget_s)
             return _run(history, optimizer, workers, on_generation, on_progress)
 
 
@@ -148,7 +152,7 @@ def _run(
             if not (begun or history.replaying):  # a replay that fails leaves the journal unchanged
                 history.begin()
                 begun = True
-            _evaluate(history, genomes, recorded, evaluator, on_progress)
+            _evaluate(history, genomes[recorded:], evaluator, on_progress)
             outcomes = history.complete()
             fitness = score(history.objective, outcomes, config.failed_fitness)
             optimizer.tell(genomes.copy(), fitness)
@@ -158,27 +162,22 @@ def _run(
             history.begin()
         history.finish()
     except KeyboardInterrupt:
-        if not begun:
-            history.begin()
+        pass
     return history
 
 
 def _evaluate(
-    history: History,
-    genomes: Array,
-    recorded: int,
-    evaluator: Evaluator,
-    on_progress: OnProgress | None,
+    history: History, genomes: Array, evaluator: Evaluator, on_progress: OnProgress | None
 ) -> None:
-    """Evaluate and record genomes (P, n) after the first `recorded` ones, one chunk at a time."""
-    config, share = history.config, recorded / len(genomes)
-    if recorded == len(genomes):
+    """Evaluate and record genomes (P, n), one chunk at a time."""
+    config = history.config
+    if not len(genomes):
         return
-    if config.race_share < 1.0:  # a race is recorded as a whole
+    if config.race_share < 1.0:
         history.append(genomes, race(genomes, config, history.objective, evaluator, on_progress))
         return
-    jobs = [Job(chunk) for chunk in evaluator.split(genomes[recorded:])]
-    with closing(run_jobs(evaluator, config.encoding, jobs, on_progress, share)) as results:
+    jobs = [Job(chunk) for chunk in evaluator.split(genomes)]
+    with closing(run_jobs(evaluator, config.encoding, jobs, on_progress)) as results:
         for job, result in zip(jobs, results, strict=True):
             history.append(job.genomes, result.outcomes)
 

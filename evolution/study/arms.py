@@ -163,9 +163,7 @@ class EvolutionArm:
     def run(self, folder: Path, seed: int, budget_s: float, evaluator: Evaluator) -> bool:
         """Start a run, or resume it from its journal. The journal may have a smaller budget."""
         if (folder / FILE).exists():
-            with Journal(folder) as journal:
-                History(journal).configure(self.run_config(seed, budget_s))
-            return resume(folder, evaluator=evaluator).finished
+            return resume(folder, budget_s=budget_s, evaluator=evaluator).finished
         shutil.rmtree(folder, ignore_errors=True)  # stopped before the journal was created
         return evolve(self.run_config(seed, budget_s), folder, evaluator=evaluator).finished
 

@@ -231,6 +231,8 @@ def load_winner(config: StudyConfig, folder: Path, arm: str, run: Run) -> AnyRob
         rows = read_kept(folder)[cell]
         try:
             config.arms[arm].restore(rows, Path(scratch, "run"), run.seed, config.budget_of(cell))
+        except JournalError:
+            raise
         except CaterpillarError as error:  # the versions of the packages differ
             warnings.warn(f"the winner of {cell} is left out: {error}", stacklevel=2)
             return None

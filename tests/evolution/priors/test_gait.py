@@ -212,6 +212,6 @@ def test_a_design_parameter_can_be_left_out():
     # The preset `ablation` states this in a comment.
     assert distributions(WAVE, without="stroke") == full
     with pytest.raises(
-        CaterpillarError, match="prior_without = 'stroke' must be a design parameter of prior = 'body'"
+        CaterpillarError, match="to leave out, 'stroke', must belong to the prior 'body'"
     ):
         RunConfig(prior_without="stroke")

@@ -360,7 +360,7 @@ def test_partly_evaluated_generation_is_completed_on_resume(tmp_path, monkeypatc
 def test_genome_that_differs_in_replay_is_an_error(tmp_path, invented):
     evolve(TINY, tmp_path, evaluator=invented)
     with Journal(tmp_path) as journal:
-        journal.configure({**replace(TINY, seed=9).to_dict(), "own_optimizer": None})
+        journal.begin((), {**replace(TINY, seed=9).to_dict(), "own_optimizer": None})
     with pytest.raises(CaterpillarError, match=r"evaluation 0 in .* has a different genome") as error:
         resume(tmp_path)
     assert "start a new run" in str(error.value)
@@ -407,8 +407,7 @@ def test_best_value_of_minus_zero_is_recorded(tmp_path, invented):
     assert load(tmp_path).finished
 
 
-@pytest.mark.parametrize("race_share", [1.0, 0.5])
-def test_objective_may_change_its_argument(tmp_path, race_share):
+def test_objective_may_change_its_argument(tmp_path):
     def in_place(outcomes):
         values = outcomes.distance_m
         values -= 0.001 * outcomes.energy_j
@@ -417,12 +416,24 @@ def test_objective_may_change_its_argument(tmp_path, race_share):
     def pure(outcomes):
         return outcomes.distance_m - 0.001 * outcomes.energy_j
 
-    config = replace(TINY, race_share=race_share)
-    tables = []
+    config, tables = replace(TINY, race_share=0.5), []
     for name, objective in (("one", in_place), ("other", pure)):
         evolve(config, tmp_path / name, objective=objective, evaluator=ONE)
         tables.append(load(tmp_path / name).table())
     assert tables[0].equals(tables[1])
+
+
+@pytest.mark.parametrize("generations", [None, 9])
+def test_run_whose_replay_is_stopped_stays_finished(tmp_path, invented, generations):
+    evolve(TINY, tmp_path, evaluator=invented)
+    before = (tmp_path / "journal.sqlite").read_bytes()
+
+    def stop(generation):
+        raise KeyboardInterrupt
+
+    stopped = resume(tmp_path, generations=generations, evaluator=invented, on_generation=stop)
+    assert stopped.stop_reason() is None
+    assert (tmp_path / "journal.sqlite").read_bytes() == before
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -506,7 +517,7 @@ def test_journal_without_target_m_continues_with_breeding_elites(tmp_path, inven
         before = journal.configuration
         assert before["ga"]["elites_breed"] is True
         del before["target_m"]
-        journal.configure(before)
+        journal.begin((), before)
     assert resume(tmp_path / "part", generations=3, evaluator=invented).finished
     part, whole = load(tmp_path / "part").table(), load(tmp_path / "whole").table()
     assert part.drop("session").equals(whole.drop("session"))

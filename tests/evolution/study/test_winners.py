@@ -19,7 +19,6 @@ from caterpillar_env.validation.gaits import measure_gait
 from caterpillar_env.validation.robots import random_robots
 from evolution import evolve
 from evolution import load as load_run
-from evolution.run.history import History
 from evolution.run.journal import Journal
 from evolution.study import winners
 from evolution.study.analysis import analyse
@@ -253,7 +252,7 @@ def test_robot_comes_from_the_table_if_the_run_folder_is_older(tmp_path, invente
     shutil.rmtree(cell.folder(tmp_path))
     evolve(replace(run, budget_s=30.0), cell.folder(tmp_path), evaluator=invented)
     with Journal(cell.folder(tmp_path)) as journal:
-        History(journal).configure(run)
+        journal.begin((), run.to_dict())
     retest_winners(analyse(config, collect(config, tmp_path)), tmp_path)
     assert Robot.load(tmp_path / "winners" / "ga-uniform.json").to_dict() == expected.to_dict()
 
