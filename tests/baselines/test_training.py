@@ -340,7 +340,7 @@ def test_training_with_given_springs_can_be_resumed(tmp_path):
 def test_error_for_a_run_of_an_earlier_version_names_the_folder(trained, tmp_path):
     (tmp_path / "journal.sqlite").write_bytes((trained[0] / "journal.sqlite").read_bytes())
     with Journal(tmp_path) as journal:
-        journal.configure(journal.configuration | {"algorithm": "sac"})
+        journal.begin((), journal.configuration | {"algorithm": "sac"})
     with pytest.raises(CaterpillarError, match=rf"{tmp_path}: algorithm = 'sac' .* use that version"):
         Training.read(tmp_path)
 
@@ -362,7 +362,7 @@ def test_invalid_observations_are_refused_before_the_folder_is_made(tmp_path):
 def test_training_run_with_other_hyperparameters_is_not_resumed(tmp_path, monkeypatch):
     train(config(), tmp_path / "run", on_evaluation=stop_after(1))
     with Journal(tmp_path / "run") as journal:
-        journal.configure(journal.configuration | {"hyperparameters": {}})
+        journal.begin((), journal.configuration | {"hyperparameters": {}})
     with pytest.raises(CaterpillarError, match="other hyperparameters"):
         resume(tmp_path / "run")
 
@@ -483,7 +483,7 @@ def test_too_small_budget_is_rejected(tmp_path):
 def test_evolutionary_run_is_not_read_as_a_training_run(trained, tmp_path):
     (tmp_path / "journal.sqlite").write_bytes((trained[0] / "journal.sqlite").read_bytes())
     with Journal(tmp_path) as journal:
-        journal.configure({k: v for k, v in journal.configuration.items() if k != "kind"})
+        journal.begin((), {k: v for k, v in journal.configuration.items() if k != "kind"})
     with pytest.raises(CaterpillarError, match="contains an evolutionary run"):
         Training.read(tmp_path)
 
@@ -616,6 +616,6 @@ def test_policy_with_other_hyperparameters_is_rejected(trained, tmp_path):
         recorded = journal.configuration
         changed = recorded["hyperparameters"] | {"env_kwargs": {"action_repeat": 10}}
         for learning in (changed, {}, 3):
-            journal.configure(recorded | {"hyperparameters": learning})
+            journal.begin((), recorded | {"hyperparameters": learning})
             with pytest.raises(CaterpillarError, match="use the version of this package"):
                 TrainedRobot.load(tmp_path, "last")
