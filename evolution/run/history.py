@@ -231,13 +231,12 @@ class History:
             CaterpillarError: the journal has different genomes, or another number of genomes.
         """
         recorded, number = self._next_rows(), len(self.generations)
-        is_complete = number < len(self._completions)
         differing = (
             evaluation.number
             for evaluation, genome in zip(recorded, genomes, strict=False)
             if not np.array_equal(evaluation.genome, genome)
         )
-        if len(recorded) > len(genomes) or (is_complete and len(recorded) < len(genomes)):
+        if len(recorded) > len(genomes) or (self.replaying and len(recorded) < len(genomes)):
             difference = (
                 f"generation {number} in {self._journal.path} has {len(recorded)} genomes, but the "
                 f"optimizer proposes {len(genomes)} genomes now"
@@ -275,8 +274,8 @@ class History:
         known = self.replaying
         outcomes = self._advance()
         if self.best is not None and self.kind == "evolution":
-            file, is_last = self.folder / "best.json", len(self.generations) == len(self._completions)
-            if (not known and self.best is not before) or (is_last and not file.exists()):
+            file = self.folder / "best.json"
+            if (not known and self.best is not before) or not (self.replaying or file.exists()):
                 advice = f"free some space and run `caterpillar resume {shlex.quote(str(self.folder))}`"
                 self.robot(self.best).save(file, advice)
         if not known:  # last, so that a resumed run repeats a failed write of best.json
