@@ -1,4 +1,4 @@
-"""Gait metrics: speed, slip, body load, joint limits and cost of transport.
+"""Gait metrics: speed, flight, slip, body load, joint limits and cost of transport.
 
 They are measured by replaying the simulation in a plain MuJoCo loop that reads every contact.
 """
@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
 from caterpillar_env.ground import SKIN
@@ -25,7 +26,11 @@ class Gait(NamedTuple):
 
     distance_m: float  #: distance along the initial heading
     best_tenth: float  #: share of the distance covered in the best tenth of the gait period
+    #: Mean speed after the first third of the gait periods, relative to the mean speed of the episode.
+    #: Small values mean that the robot hardly moves after the start.
+    settled: float
     peak_speed_m_s: float  #: largest speed of the centre of mass, averaged over 10 ms
+    airborne: float  #: share of the distance covered while nothing supports the robot
     slip: float  #: load-weighted sliding distance of the feet, relative to the distance
     body_load: float  #: share of the ground load carried by the body instead of the feet
     overrun: float  #: largest excess of a joint over its limit, relative to the limit
@@ -46,24 +51,28 @@ def measure_gait(robot: Robot, duration_s: float = EPISODE_S) -> Gait:
     power = np.tile(robot.power(), (1, periods, 1))
     model = crawl.simulation.models[0]
     control = crawl.simulation.heat(power).control[0]
-    qpos, com_m, slip_m, body_load, overrun = _replay(model, crawl.simulation.qpos(0), control)
+    replay = _replay(model, crawl.simulation.qpos(0), control)
     crawl.run(power)
     end = crawl.progress()
-    if not np.array_equal(qpos, crawl.simulation.qpos(0)):
+    if not np.array_equal(replay.qpos, crawl.simulation.qpos(0)):
         raise AssertionError("the plain loop does not reproduce the simulation; please report this")
 
-    steps = np.diff(com_m[:: round(SMA_STEP_S / physics.timestep_s)], axis=0)  # per thermal step
+    steps = np.diff(replay.com_m[:: round(SMA_STEP_S / physics.timestep_s)], axis=0)  # thermal steps
+    forward_m = steps[:, 0].reshape(periods, -1)
     distance_m = float(end.distance_m[0])
-    folded = steps[:, 0].reshape(periods, -1).sum(axis=0)
+    airborne_m = np.diff(replay.com_m[:, 0]) @ replay.airborne
+    settled_m = forward_m[periods // 3 :].sum(axis=1).mean() * periods
     weight_n = GRAVITY_M_S2 * float(model.body_mass.sum())
     body_m = length_m(robot.morphology, physics.num_segments)
     return Gait(
         distance_m=distance_m,
-        best_tenth=_cover_best_tenth(folded) / distance_m,
+        best_tenth=_cover_best_tenth(forward_m.sum(axis=0)) / distance_m,
+        settled=float(settled_m) / distance_m,
         peak_speed_m_s=float(np.linalg.norm(steps, axis=1).max()) / SMA_STEP_S,
-        slip=slip_m / distance_m,
-        body_load=body_load,
-        overrun=overrun,
+        airborne=float(airborne_m) / distance_m,
+        slip=replay.slip_m / distance_m,
+        body_load=replay.body_load,
+        overrun=replay.overrun,
         cost_of_transport=float(end.energy_j[0]) / (weight_n * distance_m),
         body_lengths_s=distance_m / body_m / (periods * period_s),
     )
@@ -76,20 +85,25 @@ def _cover_best_tenth(folded: Array) -> float:
     return float(np.convolve(circular, np.ones(window), mode="valid").max())
 
 
-def _replay(
-    model: mujoco.MjModel, start: Array, control: Array
-) -> tuple[Array, Array, float, float, float]:
-    """Step `model` from the positions `start` (nq,), at rest, with `control` (K, springs).
+class _Replay(NamedTuple):
+    """A simulation of K steps; see `Gait` for the load share of the body and the overrun."""
 
-    Returns:
-        The final positions, the centre of mass before each step and after the last, m, (K + 1, 3), and
-        the sliding distance of the feet, the load share of the body, and the overrun; see `Gait`.
-    """
+    qpos: Array  #: final positions, (nq,)
+    com_m: Array  #: centre of mass before each step and after the last, m, (K + 1, 3)
+    airborne: NDArray[np.bool_]  #: whether no contact bears load at the start of a step, (K,)
+    slip_m: float  #: load-weighted sliding distance of the feet, m
+    body_load: float
+    overrun: float
+
+
+def _replay(model: mujoco.MjModel, start: Array, control: Array) -> _Replay:
+    """Step `model` from the positions `start` (nq,), at rest, with `control` (K, springs)."""
     data = mujoco.MjData(model)
     data.qpos[:] = start
     is_skin = model.geom_conaffinity == SKIN
     limits = model.jnt_range[1:, 1]
     com_m = np.empty((len(control) + 1, 3))
+    airborne = np.empty(len(control), dtype=bool)
     slip_m, skin_n, all_n, overrun = 0.0, 0.0, 0.0, 0.0
     for step, springs in enumerate(control):
         data.ctrl[:] = springs
@@ -100,6 +114,7 @@ def _replay(
         active = contact.efc_address >= 0
         part = np.where(model.geom_conaffinity[contact.geom], contact.geom, 0).max(axis=1)[active]
         load_n = data.efc_force[contact.efc_address[active]]
+        airborne[step] = not load_n.any()
         skin = is_skin[part]
         skin_n, all_n = skin_n + load_n[skin].sum(), all_n + load_n.sum()
         feet_n = load_n[~skin]
@@ -110,7 +125,7 @@ def _replay(
             slip_m += float(feet_n @ speed / total_n) * model.opt.timestep
     mujoco.mj_forward(model, data)
     com_m[-1] = data.subtree_com[1]
-    return data.qpos.copy(), com_m, slip_m, float(skin_n / all_n), max(overrun, 0.0)
+    return _Replay(data.qpos.copy(), com_m, airborne, slip_m, float(skin_n / all_n), max(overrun, 0.0))
 
 
 def check_gaits(gaits: Sequence[Gait]) -> list[Check]:

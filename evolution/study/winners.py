@@ -42,6 +42,8 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 
 _MEASURES = {
     "best_tenth": "distance covered in the best tenth of a period",
+    "settled": "speed after the first third of the episode",
+    "airborne": "distance covered in the air",
     "body_load": "load on the body",
     "overrun": "overrun of a joint",
     "slip": "slip",

@@ -36,7 +36,7 @@ def canned(monkeypatch, *, weight_n, golden_passes):
         "mechanics": lambda: [check_at_most("weight", 1.0, weight_n, "N")],
         "golden trajectories": lambda: [check_equal("path", True, golden_passes)],
     }
-    gait = gaits.Gait(0.1, 0.2, 0.1, 0.5, 0.0, 0.0, 1000.0, 0.03)
+    gait = gaits.Gait(0.1, 0.2, 1.0, 0.1, 0.0, 0.5, 0.0, 0.0, 1000.0, 0.03)
     monkeypatch.setattr(gaits, "measure_gait", lambda robot, duration_s: gait)
     monkeypatch.setattr(material, "plot", lambda path: None)
     monkeypatch.setattr(convergence, "plot", lambda compared, path: None)
