@@ -20,6 +20,7 @@ import polars
 
 from caterpillar_env.errors import CaterpillarError
 from evolution.run.cluster import Cluster, ClusterError, RayEvaluator
+from evolution.run.database import lock
 from evolution.run.evaluators import LocalEvaluator
 from evolution.run.journal import FILE, read_simulated_s
 from evolution.study.arms import Arm
@@ -157,9 +158,10 @@ def run_study(
 
     Raises:
         ClusterError: the Ray cluster cannot be reached, or was lost.
+        JournalError: another process is running the study.
     """
-    cells, known = config.cells(), read_all(config, folder)
-    with workers:
+    with lock(folder), workers:
+        cells, known = config.cells(), read_all(config, folder)
         pool = ThreadPoolExecutor(workers.count)
         futures: dict[Future[None], Cell] = {}
         try:

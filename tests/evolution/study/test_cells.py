@@ -16,7 +16,7 @@ from caterpillar_env import machine
 from caterpillar_env.errors import CaterpillarError
 from caterpillar_env.robot import Outcomes
 from evolution import cli
-from evolution.run.database import is_in_use
+from evolution.run.database import JournalError, is_in_use, lock
 from evolution.run.history import History
 from evolution.run.journal import Journal, read_simulated_s
 from evolution.run.loop import resume
@@ -88,6 +88,14 @@ def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(tmp_path):
     assert cell == Cell("ga-uniform", 1)
     assert "is damaged" in error
     assert read_run(config, Cell("ga-uniform", 0), tmp_path).finished
+
+
+def test_a_study_is_run_by_one_process_at_a_time(tmp_path):
+    config = StudyConfig.from_dict(SMALL)
+    begin(config, tmp_path)
+    with lock(tmp_path), pytest.raises(JournalError, match="another process is working on"):
+        run_study(config, tmp_path, Processes(1))
+    assert not (tmp_path / "cells").exists()
 
 
 def test_progress_of_a_run_is_read_from_its_journal(finished):
