@@ -50,7 +50,8 @@ class Gain(NamedTuple):
     median_m: Estimate
     ratio: Estimate | None  #: ratio of the medians, arm to reference
     a12: Estimate | None  #: against the reference
-    #: Generations after which the median run of the reference (Kaplan-Meier) has reached `median_m`.
+    #: Generations after which the median run of the reference (Kaplan-Meier) has reached `median_m`. For
+    #: the reference itself, this can be fewer than the number of generations that defines `median_m`.
     reference_generations: Estimate | None
 
 
@@ -140,9 +141,11 @@ def _gains(config: StudyConfig, runs: Runs, generations: int) -> list[Gain]:
     ratios = compare(config, reached_m, lambda a, b: statistics.bootstrap(ratio, (a,), (b,)))
     a12 = compare(config, reached_m, statistics.a12)
     needed = {
-        arm: _reference_generations(values, runs[config.reference_of(arm)])
-        for arm, values in reached_m.items()
-        if arm in a12
+        arm: _reference_generations(
+            Threshold(generations=generations), runs[arm], runs[config.reference_of(arm)]
+        )
+        for arm in reached_m
+        if config.reference_of(arm) in reached_m
     }
     return [
         Gain(arm, len(x), statistics.median(x), ratios.get(arm), a12.get(arm), needed.get(arm))
@@ -150,18 +153,24 @@ def _gains(config: StudyConfig, runs: Runs, generations: int) -> list[Gain]:
     ]
 
 
-def _reference_generations(reached_m: Array, reference: list[Run]) -> Estimate:
+def _reference_generations(threshold: Threshold, runs: list[Run], reference: list[Run]) -> Estimate:
     """Estimate how many generations the reference's median run needs to reach an arm's distance.
 
-    The distance is the median of `reached_m`.
+    The distance is the arm's median after `threshold.generations`.
     """
-    find = cache(partial(count_generations, reference))
+    level, find = threshold.find(runs), cache(partial(count_generations, reference))
 
-    def generations(values: Array, rows: Rows) -> float:
-        counts, reached = find(float(np.median(values)))
-        return statistics.find_median(counts[rows], reached[rows])
+    def generations(rows: Rows, base: Rows | None = None) -> float:
+        level_m = level(rows)
+        counts, reached = find(level_m)
+        chosen = rows if base is None else base
+        median = statistics.find_median(counts[chosen], reached[chosen])
+        return float("nan") if np.isnan(level_m) else median
 
-    return statistics.bootstrap(generations, (reached_m,), indices(reference))
+    groups = (runs,) if runs is reference else (runs, reference)
+    return statistics.bootstrap(
+        generations, *map(indices, groups), defined_by=threshold.count_defining(runs)
+    )
 
 
 def summarize(analysis: Analysis) -> list[str]:
@@ -193,7 +202,7 @@ def summarize(analysis: Analysis) -> list[str]:
                     f"{gain.arm}: {format_estimate(change, '{:+z.0f}')} % distance after {count} "
                     f"generations against {config.reference_of(gain.arm)} ({_count_runs(gain.runs)})."
                 )
-            if gain.reference_generations is not None:
+            if gain.a12 is not None and gain.reference_generations is not None:
                 needed = "fewer than half of the runs reached"
                 if np.isfinite(gain.reference_generations.value):
                     number = _count_generations(gain.reference_generations)
@@ -222,16 +231,21 @@ def _summarize_times(config: StudyConfig, threshold: Threshold, row: Times) -> s
     line = f"{row.arm}: {row.reached} of {_count_runs(row.runs)} reached {level}"
     if has_longer_runs:
         line += f" within {config.budget_s:,.0f} simulated seconds"
-    if row.median_generations is not None and np.isfinite(row.median_generations.value):
+    if row.median_generations is not None:
         line += "; with the longer runs" if has_longer_runs else ""
-        line += f", the median run after {_count_generations(row.median_generations)}"
-    if row.arm != reference and row.acceleration is not None and row.acceleration.value > 0:
-        line += f", {format_estimate(row.acceleration)} times as fast as {reference}"
+        needed = f"more than {row.completed} generations"
+        if np.isfinite(row.median_generations.value):
+            needed = _count_generations(row.median_generations)
+        line += f", the median run after {needed}"
+    if row.arm != reference and row.acceleration is not None:
+        line += f", {format_acceleration(threshold, row)} times as fast as {reference}"
     if row.speed_up is not None:
         line += (
             f"; ratio of expected running times, {reference} to {row.arm}, "
-            f"{format_estimate(row.speed_up)}, log-rank p {format_p(row.log_rank_p)}"
+            f"{format_estimate(row.speed_up)}"
         )
+    if row.log_rank_p is not None:
+        line += f", log-rank p {format_p(row.log_rank_p)}"
     return line + "."
 
 
@@ -247,6 +261,15 @@ def format_estimate(estimate: Estimate | None, pattern: str = "{:.2f}", factor: 
         return "undefined"
     value, low, high = (pattern.format(factor * v) if np.isfinite(v) else "∞" for v in estimate)
     return value if np.isnan(estimate.low) else f"{value} ({low} to {high})"
+
+
+def format_acceleration(threshold: Threshold, times: Times) -> str:
+    """Format the speed-up in generations, as an upper bound if the median run missed the threshold."""
+    estimate = times.acceleration
+    if estimate is None or estimate.value != 0:
+        return format_estimate(estimate)
+    bound = threshold.generations / max(times.completed, 1)
+    return f"< {bound:.2f}" + (f" (up to {estimate.high:.2f})" if estimate.high > bound else "")
 
 
 def _count_runs(number: int) -> str:

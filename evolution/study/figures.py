@@ -17,8 +17,8 @@ from evolution.study.trends import LARGEST_SPEED_UP
 
 _KILO = 1000.0  # the time axes are in 1000 s
 _TIME = "simulated time (1000 s)"
-
-_FEWEST_RUNS = 3  # for a median with quartiles
+_THIN: dict[str, Any] = {"alpha": 0.4, "linewidth": 0.7}  # lines of single runs
+_BAND: dict[str, Any] = {"alpha": 0.12, "linewidth": 0}  # quartiles
 
 
 def draw_best(analysis: Analysis) -> Figure:
@@ -28,11 +28,10 @@ def draw_best(analysis: Analysis) -> Figure:
     for arm, colour in _colours(analysis).items():
         runs = analysis.runs[arm]
         steps_mm = 1000 * np.array([run.best_at_times(analysis.grid_s) for run in runs])
-        for row in steps_mm:
-            axis.plot(time, row, color=colour, alpha=0.25, linewidth=0.7)
         low, median, high = np.quantile(steps_mm, [0.25, 0.5, 0.75], axis=0)
-        axis.fill_between(time, low, high, color=colour, alpha=0.12)
-        axis.plot(time, median, color=colour, linewidth=2, label=f"{arm} ({len(runs)})")
+        axis.step(time, steps_mm.T, where="post", color=colour, **_THIN)
+        axis.fill_between(time, low, high, step="post", color=colour, **_BAND)
+        axis.step(time, median, where="post", color=colour, linewidth=2, label=f"{arm} ({len(runs)})")
     for level_m in {row.threshold_m for rows in analysis.times.values() for row in rows}:
         axis.axhline(1000 * level_m, color="black", linewidth=0.6, linestyle=":")
     axis.set(xlim=(0, None), ylim=(0, None))
@@ -41,26 +40,26 @@ def draw_best(analysis: Analysis) -> Figure:
 
 
 def draw_generations(analysis: Analysis) -> Figure | None:
-    """Draw the best distance over generations, or return None if no comparable arm completed any."""
+    """Draw the best distance over generations, or return None if no comparable arm completed any.
+
+    Medians and quartiles end with the shortest run of an arm.
+    """
     arms = [arm for arm in analysis.config.comparable() if arm in analysis.runs]
     figure, axis = _new_figure("best distance so far (mm)")
     axis.set_xlabel("generations")
     colours = _colours(analysis)
     for arm in arms:
-        runs = sorted(analysis.runs[arm], key=lambda run: -run.generations)
-        count = runs[min(_FEWEST_RUNS, len(runs)) - 1].generations
-        if count == 0:
+        runs, colour = analysis.runs[arm], colours[arm]
+        fewest, most = (count(run.generations for run in runs) for count in (min, max))
+        if most == 0:
             continue
-        generations = np.arange(1, count + 1)
-        best_mm = 1000 * np.array([[run.best_after(n) for n in range(1, count + 1)] for run in runs])
-        low, median, high = np.nanquantile(best_mm, [0.25, 0.5, 0.75], axis=0)
-        axis.fill_between(generations, low, high, color=colours[arm], alpha=0.15)
-        whole = runs[-1].generations
+        generations = np.arange(1, most + 1)
+        best_mm = 1000 * np.array([[run.best_after(n) for n in generations.tolist()] for run in runs])
+        low, median, high = np.quantile(best_mm[:, :fewest], [0.25, 0.5, 0.75], axis=0)
+        axis.plot(generations, best_mm.T, color=colour, **_THIN)
+        axis.fill_between(generations[:fewest], low, high, color=colour, **_BAND)
         label = f"{arm} ({len(runs)})"
-        axis.plot(generations[:whole], median[:whole], color=colours[arm], linewidth=2, label=label)
-        if count > whole:
-            first = max(whole - 1, 0)
-            axis.plot(generations[first:], median[first:], "--", color=colours[arm])
+        axis.plot(generations[:fewest], median, color=colour, linewidth=2, label=label)
     if not axis.lines:
         return None
     axis.set(xlim=(0, None), ylim=(0, None))
@@ -84,7 +83,8 @@ def draw_survival(analysis: Analysis) -> Figure | None:
             if arm not in levels_m:
                 continue
             runs = analysis.runs[arm]
-            curve = statistics.kaplan_meier(*arrivals(runs, levels_m[arm]))
+            ends, reached = arrivals(runs, levels_m[arm])
+            curve = statistics.kaplan_meier(ends, reached)
             end_s = max(run.budget_s for run in runs)
             time = np.concatenate([[0.0], curve.time, [end_s]]) / _KILO
             share, low, high = (
@@ -93,6 +93,9 @@ def draw_survival(analysis: Analysis) -> Figure | None:
             )
             axis.step(time, share, where="post", color=colour, label=arm)
             axis.fill_between(time, low, high, step="post", color=colour, alpha=0.08)
+            censored = ends[~reached] / _KILO
+            rows = np.searchsorted(time, censored, side="right") - 1
+            axis.plot(censored, share[rows], "|", color=colour, markersize=9)
         title = str(threshold).removeprefix("the ")
         if threshold.fixed_m is None and len(set(levels_m.values())) == 1:
             title += f"\n({1000 * next(iter(levels_m.values())):.0f} mm)"
@@ -108,7 +111,7 @@ def draw_speed_ups(analysis: Analysis) -> Figure | None:
     """Draw the speed-up of each arm over a range of thresholds, or return None if there is none."""
     if not analysis.speed_ups:
         return None
-    figure, axis = _new_figure("ratio of expected running times")
+    figure, axis = _new_figure("ratio of expected running times\n(reference to arm)")
     axis.set_xlabel("distance to reach (mm)")
     colours = _colours(analysis)
     for arm, rows in analysis.speed_ups.items():
@@ -124,7 +127,7 @@ def draw_genes(analysis: Analysis) -> Figure | None:
     """Draw the speed-up by a prior over the number of genes, or return None if there are no trends."""
     if not analysis.trends:
         return None
-    figure, axis = _new_figure("ratio of expected running times")
+    figure, axis = _new_figure("ratio of expected running times\n(reference to arm)")
     axis.set_xlabel("number of genes")
     palette = colormaps["tab10"]
     for number, trend in enumerate(analysis.trends):

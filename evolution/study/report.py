@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib.metadata import version
 from math import isnan
 from pathlib import Path
@@ -10,23 +11,32 @@ from caterpillar_env.files import COPY, name_of, write_bytes
 from evolution.report.figures import save
 from evolution.report.page import data_url, render
 from evolution.study import figures
-from evolution.study.analysis import Analysis, format_estimate, format_p, summarize
+from evolution.study.analysis import (
+    Analysis,
+    format_acceleration,
+    format_estimate,
+    format_p,
+    summarize,
+)
 from evolution.study.winners import Retest
 
 _CAPTIONS = {
-    "generations": "Best distance over generations, as in Fig. 11 of the paper. Lines: medians; bands: "
-    "quartiles. Lines are dashed where some runs of the arm have ended.",
-    "best-so-far": "Best distance so far. Thick lines: medians; bands: quartiles; thin lines: all runs; "
-    "dotted lines: thresholds.",
-    "survival": "Share of runs that have not reached a threshold (Kaplan-Meier, 95 % intervals). Runs "
-    "that never reach it are censored at their budget.",
+    "generations": "Best distance over generations, as in Fig. 11 of the paper. Thick lines: medians, "
+    "as far as all runs of the arm go; bands: the middle half of the runs (not confidence intervals); "
+    "thin lines: all runs.",
+    "best-so-far": "Best distance so far. Thick lines: medians; bands: the middle half of the runs (not "
+    "confidence intervals); thin lines: all runs; dotted lines: thresholds.",
+    "survival": "Share of runs that have not reached a threshold (Kaplan-Meier, 95 % intervals). Ticks: "
+    "runs that ended below the threshold.",
     "speed-up": "Ratio of expected running times, reference to arm, by the distance to reach, with 95 % "
-    "intervals. A quarter of the reference's runs exceed the last distance. Triangles: no run of the "
-    "reference (up) or of the arm (down) reached that distance.",
+    "intervals. Above 1, the arm is faster. The last distance is the upper quartile of the reference's "
+    "runs. Triangles: no run of the reference (up) or of the arm (down) reached that distance. Values "
+    "beyond the axis are drawn at its ends.",
     "genes": "Ratio of expected running times, reference to arm, by the number of genes, with 95 % "
     "intervals. An arm and its reference have the same robot. Triangles: no run of the reference (up) "
     "or of the arm (down) reached the threshold.",
-    "targets": "Share of 50 target distances reached, over all runs.",
+    "targets": "Share of (run, target) pairs in which the run has reached the target. The 50 targets "
+    "are 2 to 100 % of the best distance of any run.",
 }
 
 
@@ -48,12 +58,13 @@ def write(analysis: Analysis, retest: Retest, folder: Path) -> Path:
                 path = folder / "figures" / f"{name}.png"
                 save(figure, path)
                 shown.append((name, _CAPTIONS[name], data_url("image/png", path.read_bytes())))
-    filters = {
+    filters: dict[str, Callable[..., str]] = {
         "mm": lambda metres: "unknown" if isnan(metres) else f"{1000 * metres:.1f}",
         "percent": lambda share: "unknown" if isnan(share) else f"{100 * share:.1f} %",
         "mm_interval": lambda estimate: format_estimate(estimate, "{:.1f}", 1000.0),
         "whole": lambda estimate: format_estimate(estimate, "{:,.0f}"),
         "ratio": format_estimate,
+        "acceleration": format_acceleration,
         "p": format_p,
     }
     page = folder / "report.html"

@@ -160,20 +160,25 @@ def speed_up(time: Array, reached: Flags, reference_time: Array, reference_reach
     return float("nan") if np.isinf(ert) and np.isinf(reference_ert) else reference_ert / ert
 
 
-def bootstrap(statistic: Callable[..., float], *groups: tuple[NDArray[Any], ...]) -> Estimate:
+def bootstrap(
+    statistic: Callable[..., float], *groups: tuple[NDArray[Any], ...], defined_by: int | None = None
+) -> Estimate:
     """Estimate a statistic of one or more groups of runs, with a percentile bootstrap interval.
 
     The quantiles are those of Hesterberg (2015), which are wider for small groups. The interval is NaN
-    if the statistic is infinite or undefined, or if a group has fewer than `FEWEST` runs. Resamples in
+    if the statistic is infinite or undefined, or rests on fewer than `FEWEST` runs. Resamples in
     which the statistic is undefined are ignored. Equal arguments give equal intervals.
 
     Args:
         statistic: function of the arrays of all groups, in order.
         groups: arrays of each group, with one value per run. Arrays of a group are resampled together.
+        defined_by: number of runs that the statistic rests on, if smaller than all groups.
     """
     rng = np.random.default_rng(_SEED)
     value = statistic(*(array for group in groups for array in group))
     size = min(len(group[0]) for group in groups)
+    if defined_by is not None:
+        size = min(size, defined_by)
     if not np.isfinite(value) or size < FEWEST:
         return Estimate(value, float("nan"), float("nan"))
     values = np.empty(RESAMPLES)

@@ -51,6 +51,12 @@ class Threshold(NamedTuple):
 
         return find
 
+    def count_defining(self, reference: Sequence[Run]) -> int | None:
+        """Return how many of the reference's runs define the threshold, or None if it is fixed."""
+        if self.fixed_m is not None:
+            return None
+        return sum(bool(np.isfinite(run.best_after(self.generations))) for run in reference)
+
     def of(self, reference: Sequence[Run]) -> float:
         """Return the threshold for all runs of the reference, m, or NaN."""
         return self.find(reference)(np.arange(len(reference)))
@@ -61,7 +67,9 @@ class Times(NamedTuple):
 
     arm: str
     threshold_m: float  #: NaN if the runs of the reference do not define it
+    defined_by: int | None  #: number of the reference's runs that define the threshold, if not fixed
     runs: int
+    completed: int  #: number of generations that all runs completed
     reached: int  #: number of runs that reach it within the study's `budget_s`
     median_s: Estimate  #: Kaplan-Meier
     median_generations: Estimate | None  #: the same in generations; None if not comparable
@@ -112,11 +120,14 @@ def find_times(config: StudyConfig, runs: Runs, threshold: Threshold) -> list[Ti
 
     Where the threshold depends on the reference's runs, bootstrap intervals of running times and
     speed-ups include the uncertainty of the threshold: each resample has its own one. So does each
-    permutation of the log-rank test, unless some runs ended before the generation that defines it.
+    permutation of the log-rank test, unless some runs ended before the generation that defines it. If
+    fewer than `statistics.FEWEST` runs define the threshold, there are neither these intervals nor
+    a p value.
     """
     comparable, budget_s = config.comparable(), config.budget_s
     p = compare(config, runs, partial(_log_rank, threshold, budget_s=budget_s))
-    log_rank = statistics.holm(p, config.comparisons())
+    known = {arm: value for arm, value in p.items() if value is not None}
+    log_rank = statistics.holm(known, config.comparisons())
     speed_up = compare(config, runs, partial(_speed_up, threshold, budget_s=budget_s))
     rows = []
     for arm, found in runs.items():
@@ -131,14 +142,16 @@ def find_times(config: StudyConfig, runs: Runs, threshold: Threshold) -> list[Ti
             Times(
                 arm=arm,
                 threshold_m=level_m,
+                defined_by=threshold.count_defining(reference),
                 runs=len(found),
+                completed=min(run.generations for run in found),
                 reached=int(arrivals(found, level_m, budget_s)[1].sum()),
                 median_s=statistics.kaplan_meier(*arrivals(found, level_m)).median,
                 median_generations=counts and statistics.kaplan_meier(*counts).median,
                 acceleration=acceleration,
                 running_time_s=_running_time(threshold, found, reference, budget_s),
                 speed_up=speed_up.get(arm),
-                log_rank_p=None if np.isnan(level_m) else log_rank.get(arm),
+                log_rank_p=log_rank.get(arm),
             )
         )
     return rows
@@ -167,8 +180,16 @@ def indices(runs: Sequence[Run]) -> tuple[Rows]:
     return (np.arange(len(runs)),)
 
 
-def _log_rank(threshold: Threshold, runs: list[Run], reference: list[Run], *, budget_s: float) -> float:
-    """Return the p value of a log-rank test with permutations, with all runs censored at `budget_s`."""
+def _log_rank(
+    threshold: Threshold, runs: list[Run], reference: list[Run], *, budget_s: float
+) -> float | None:
+    """Return the p value of a log-rank test with permutations, with all runs censored at `budget_s`.
+
+    It is None if too few runs define the threshold.
+    """
+    defined_by = threshold.count_defining(reference)
+    if defined_by is not None and (defined_by < statistics.FEWEST or np.isnan(threshold.of(reference))):
+        return None
     both, known_m = [*runs, *reference], threshold.of(reference)
     find, level = cache(partial(arrivals, both, budget_s=budget_s)), threshold.find(both)
     is_fixed = np.isnan([run.best_after(threshold.generations) for run in both]).any()
@@ -191,7 +212,9 @@ def _accelerate(threshold: Threshold, runs: list[Run], reference: list[Run]) -> 
         return float("nan") if np.isnan(level_m) else threshold.generations / median
 
     groups = (runs,) if runs is reference else (runs, reference)
-    return statistics.bootstrap(acceleration, *map(indices, groups))
+    return statistics.bootstrap(
+        acceleration, *map(indices, groups), defined_by=threshold.count_defining(reference)
+    )
 
 
 def _running_time(
@@ -207,7 +230,9 @@ def _running_time(
         return float("nan") if np.isnan(level_m) else ert
 
     groups = (runs,) if threshold.fixed_m is not None or runs is reference else (runs, reference)
-    return statistics.bootstrap(running_time, *map(indices, groups))
+    return statistics.bootstrap(
+        running_time, *map(indices, groups), defined_by=threshold.count_defining(reference)
+    )
 
 
 def speed_up_function(
@@ -233,4 +258,4 @@ def _speed_up(
     both, level_m = (indices(runs), indices(reference)), threshold.of(reference)
     if not all(arrivals(group, level_m, budget_s)[1].any() for group in (runs, reference)):
         return Estimate(speed_up(both[0][0], both[1][0]), float("nan"), float("nan"))  # no interval
-    return statistics.bootstrap(speed_up, *both)
+    return statistics.bootstrap(speed_up, *both, defined_by=threshold.count_defining(reference))

@@ -8,7 +8,13 @@ import polars
 import pytest
 
 from evolution.study import statistics
-from evolution.study.analysis import analyse, format_estimate, format_p, summarize
+from evolution.study.analysis import (
+    analyse,
+    format_acceleration,
+    format_estimate,
+    format_p,
+    summarize,
+)
 from evolution.study.config import Cell, StudyConfig
 from evolution.study.figures import draw_generations
 from evolution.study.results import Results, Run, read_runs
@@ -190,8 +196,41 @@ def test_arm_with_half_the_generations_has_an_acceleration_of_2(few_draws):
 def test_reference_may_reach_its_own_threshold_early(few_draws):
     table = runs("ga-uniform", [[0.09] * 10] * 5)  # all of the distance in the first generation
     config = with_own_thresholds(seeds=[0, 1, 2, 3, 4])
-    (base,) = analyse(config, Results(table, [])).times[THRESHOLD]
+    found = analyse(config, Results(table, []))
+    (base,) = found.times[THRESHOLD]
     assert base.acceleration == Estimate(2, 2, 2)
+    assert found.gains[2][0].reference_generations == Estimate(1, 1, 1)
+
+
+def test_slower_arm_has_an_upper_bound(few_draws):
+    config = with_own_thresholds(seeds=[0, 1, 2, 3, 4])
+    table = polars.concat(
+        [runs("ga-uniform", [ramp(0.0, 0.01)] * 5), runs("ga-preprocessed", [ramp(0.0, 0.005)] * 5)]
+    )
+    found = analyse(config, Results(table, []))
+    row = found.times[THRESHOLD][1]
+    assert (row.acceleration.value, row.completed) == (0.0, 2)
+    assert format_acceleration(THRESHOLD, row) == "< 1.00"
+    assert (
+        "ga-preprocessed: 0 of 5 runs reached the reference's distance after 2 generations (90 mm), the "
+        "median run after more than 2 generations, < 1.00 times as fast as ga-uniform"
+        in "\n".join(summarize(found))
+    )
+
+
+@pytest.mark.parametrize("defining", [4, 5])
+def test_threshold_of_few_runs_gives_no_interval_and_no_p_value(few_draws, defining):
+    config = with_own_thresholds(seeds=[0, 1, 2, 3, 4, 5])
+    count = [10] * defining + [5] * (6 - defining)  # five evaluations per generation
+    uniform = [ramp(0.001 * seed, 0.01, n) for seed, n in enumerate(count)]
+    fast = [ramp(0.01 + 0.001 * seed, 0.02) for seed in range(6)]
+    table = polars.concat([runs("ga-uniform", uniform), runs("ga-preprocessed", fast)])
+    row = analyse(config, Results(table, [])).times[THRESHOLD][1]
+    assert row.defined_by == defining
+    assert row.speed_up.value > 1
+    has_interval = [np.isfinite(e.low) for e in (row.acceleration, row.running_time_s, row.speed_up)]
+    assert has_interval == [defining == 5] * 3
+    assert (row.log_rank_p is not None) == (defining == 5)
 
 
 def with_own_thresholds(**fields):

@@ -28,7 +28,7 @@ def make_run(seed, best_m, failure=("ok", "ok")):
 NEVER = Estimate(1600.0, np.nan, np.nan)
 RATIO = Estimate(2.0, 1.5, np.inf)
 TIMES = Times(
-    arm="ga-uniform", threshold_m=0.05, runs=2, reached=1,
+    arm="ga-uniform", threshold_m=0.05, defined_by=None, runs=2, completed=52, reached=1,
     median_s=Estimate(60.0, 50.0, 70.0), median_generations=Estimate(3.0, 2.0, np.inf),
     acceleration=Estimate(1.67, 0.0, 2.5), running_time_s=NEVER, speed_up=RATIO, log_rank_p=0.0162,
 )  # fmt: skip
@@ -48,18 +48,19 @@ def test_best_distance_steps_when_an_evaluation_ends():
     assert set(threshold.get_ydata()) == {50.0}
     (band,) = axis.collections
     (outline,) = band.get_paths()
-    assert {y for x, y in outline.vertices if x == 0.061} == {30.0, 50.0}  # quartiles of 20 and 60
+    assert {30.0, 50.0} < {y for x, y in outline.vertices if x == 0.061}  # quartiles of 20 and 60
 
 
 def test_survival_ends_at_the_budget():
-    (curve,) = figures.draw_survival(STUDY).axes[0].lines
+    curve, censored = figures.draw_survival(STUDY).axes[0].lines
+    assert (censored.get_xdata().tolist(), censored.get_ydata().tolist()) == ([0.1], [0.5])
     assert curve.get_xdata()[[0, 1, -1]].tolist() == [0.0, 0.06, 0.1]
     assert curve.get_ydata()[[0, 1, -1]].tolist() == [1.0, 0.5, 0.5]
     unknown = {Threshold(generations=9): [TIMES._replace(threshold_m=np.nan)]}
     assert figures.draw_survival(replace(STUDY, times=unknown)) is None
 
 
-def test_figure_over_generations_is_dashed_where_runs_have_ended():
+def test_medians_over_generations_end_with_the_shortest_run():
     def run(*best_m):
         count = len(best_m)
         spent_s = 30.0 * np.arange(1, count + 1)
@@ -67,11 +68,10 @@ def test_figure_over_generations_is_dashed_where_runs_have_ended():
 
     runs = [run(0.0, 0.01), run(0.02, 0.02, 0.05), run(0.03, 0.04, 0.06, 0.1), run(0.01, 0.02, 0.03)]
     (axis,) = figures.draw_generations(replace(STUDY, runs={"ga-uniform": runs})).axes
-    whole, dashed = axis.lines
-    assert (whole.get_xdata().tolist(), dashed.get_xdata().tolist()) == ([1, 2], [2, 3])
-    assert whole.get_ydata() == pytest.approx([15, 20])
-    # Median of the three longer runs. Generation 4 has only one run and is omitted.
-    assert dashed.get_ydata() == pytest.approx([20, 50])
+    *single, median = axis.lines
+    assert median.get_xdata().tolist() == [1, 2]
+    assert median.get_ydata() == pytest.approx([15, 20])
+    assert [np.isfinite(line.get_ydata()).sum() for line in single] == [2, 3, 4, 3]
 
 
 def test_speed_ups_beyond_the_axis_are_triangles():
@@ -130,6 +130,15 @@ def test_page_shows_every_number_in_its_unit(tmp_path):
     assert "Time to 50 mm" in page
     assert "After 50 generations" in page
     assert "A threshold is the median\ndistance of the reference" in page
+
+
+def test_page_shows_a_bound_if_the_median_run_misses_the_threshold(tmp_path):
+    threshold = Threshold(generations=50)
+    times = TIMES._replace(defined_by=5, acceleration=Estimate(0.0, 0.0, 1.25))
+    analysis = replace(STUDY, times={threshold: [times]}, runs={})
+    page = report.write(analysis, Retest([], [], []), tmp_path).read_text("utf-8")
+    assert "<td>50.0 (5)<td>" in page
+    assert "<td>&lt; 0.96 (up to 1.25)<td>" in page  # 50 / 52
 
 
 def test_page_does_not_derive_given_thresholds_from_the_reference(tmp_path):
