@@ -179,10 +179,11 @@ class Episodes:
             CaterpillarError: the number of robots or of segments is wrong.
         """
         expected = (len(rows), self.config.physics.num_springs)
-        if state.crawl.simulation.fraction.shape != expected:
+        given = state.crawl.simulation.fraction.shape
+        if given != expected:
             raise CaterpillarError(
                 f"the state must have {expected[0]} robots with {expected[1]} springs each; got "
-                f"{' robots with '.join(map(str, state.crawl.simulation.fraction.shape))} springs"
+                f"the shape {given} (robots, springs)"
             )
         self.crawl.reset(state.bodies, rows, conditions=state.conditions)
         self.crawl.set_state(state.crawl, rows)

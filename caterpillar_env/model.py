@@ -233,7 +233,8 @@ class ModelBuilder:
         """Add the attachments of the springs.
 
         Springs to the segment behind are attached at the front. Springs to the segment ahead are
-        attached at the rear.
+        attached at the rear. As in the paper, the parameter y is vertical and z lateral, whereas the
+        axis y of the body points to the left, and its axis z up.
         """
         ends = [("front", 1)] if segment < self._physics.num_segments - 1 else []
         ends += [("rear", -1)] if segment > 0 else []

@@ -1,8 +1,8 @@
 """Simulation of robots with the same topology and different bodies, with MuJoCo's `Batch`.
 
-No other module steps the physics. A single environment is a batch of one. The vector environment and
-the fitness evaluation use larger batches. The trajectory of a robot is bitwise identical in all of them,
-for any number of threads.
+Apart from checks in `caterpillar_env.validation`, no other module steps the physics. A single
+environment is a batch of one. The vector environment and the fitness evaluation use larger batches.
+The trajectory of a robot is bitwise identical in all of them, for any number of threads.
 """
 
 from __future__ import annotations
@@ -138,9 +138,9 @@ class Simulation:
             raise CaterpillarError(
                 f"bodies must have one entry for each of {len(index)} robots; got {len(bodies)}"
             )
-        met = [None] * len(index) if conditions is None else conditions
+        used = [None] * len(index) if conditions is None else conditions
         changed = False
-        for row, body, condition in zip(index.tolist(), bodies, met, strict=True):
+        for row, body, condition in zip(index.tolist(), bodies, used, strict=True):
             if self.bodies[row] != body or self.conditions[row] != condition:
                 self._change(row, body, condition)
                 changed = True
@@ -238,7 +238,7 @@ class Simulation:
     def advance(
         self,
         heating: Heating,
-        places: Rows | None = None,
+        active: Rows | None = None,
         first: int = 0,
         last: int | None = None,
         *,
@@ -248,7 +248,7 @@ class Simulation:
 
         Args:
             heating: return value of `heat`.
-            places: indices into `heating.rows` of the robots to advance, ascending; all by default.
+            active: indices into `heating.rows` of the robots to advance, ascending; all by default.
             first: first step. It must be 0 or the `last` of the previous call.
             last: index after the last step; all steps by default.
             trace: whether to record and return a trace of the steps.
@@ -258,8 +258,8 @@ class Simulation:
         control = heating.control[:, first * self._substeps : last * self._substeps]
         index: Rows = heating.rows
         chosen: Rows | slice = slice(None)  # a slice makes no copies
-        if places is not None and len(places) < len(index):
-            index, chosen, control = index[places], places, control[places]
+        if active is not None and len(active) < len(index):
+            index, chosen, control = index[active], active, control[active]
         rows = select(index, len(self.bodies))
         record = self.engine.rollout(
             nstep=control.shape[1],

@@ -6,11 +6,11 @@ xi are
     m' dH/dt = I^2 R' u - h s pi d (T - T_ambient),     H = c T + L xi            (energy balance)
     xi <- clip(xi, heating_branch(T), cooling_branch(T))                          (play operator)
 
-where u in [0, 1] is the duty cycle of the drive. The state consists of the specific enthalpy H (J/kg,
-zero for martensite at 0 degC) and xi, which together determine the temperature. Both branches are
-single-valued functions of H. A step therefore needs no iteration and conserves energy during the
-transformation. Stress does not shift the transformation temperatures (no Clausius-Clapeyron effect), so
-the thermal state depends only on the power history, not on the motion.
+where u in [0, 1] is the share of the full drive power. The state consists of the specific enthalpy H
+(J/kg, zero for martensite at 0 degC) and xi, which together determine the temperature. Both branches
+are single-valued functions of H. A step therefore needs no iteration and conserves energy during the
+transformation. Stress does not shift the transformation temperatures (no Clausius-Clapeyron effect),
+so the thermal state depends only on the power history, not on the motion.
 """
 
 from __future__ import annotations

@@ -31,7 +31,10 @@ STEPS_PER_INTERVAL = count_steps(CONTROL_INTERVAL_S, SMA_STEP_S, "the control in
 
 
 class Failure(IntEnum):
-    """Reason for stopping a robot, as named in Saunders 2009, section IV, or `DIVERGED`."""
+    """Reason for stopping a robot.
+
+    Saunders 2009, section IV, names the failures from `FLIPPED` to `VEERED`. The others are ours.
+    """
 
     NONE = 0
     DIVERGED = 1  #: the integration became unstable; a numerical problem
@@ -116,12 +119,12 @@ def update_failures(
 
 
 @compiled
-def _bear(rows: Rows, load_n: Array, duration_s: float, borne_s: Array) -> None:
-    """Add the share of the load on the body, times the duration, to `borne_s`, (B,)."""
+def _add_body_load(rows: Rows, load_n: Array, duration_s: float, body_load_s: Array) -> None:
+    """Add the share of the load on the body, times the duration, to `body_load_s`, (B,)."""
     for r, row in enumerate(rows):
         feet_n, body_n = load_n[r]
         share = body_n / np.maximum(feet_n + body_n, MIN_LOAD_N)
-        borne_s[row] += np.maximum(share, 0.0) * duration_s
+        body_load_s[row] += np.maximum(share, 0.0) * duration_s
 
 
 class Progress(NamedTuple):
@@ -146,7 +149,7 @@ class CrawlState(NamedTuple):
     direction: Array  #: cosine and sine of the goal heading, (R, 2)
     #: the first six fields of `Progress`, (R, 6); stored, because `Pose` lags one physics step behind
     measured: Array
-    borne_s: Array  #: integral of the body's share of the load over time, (R,)
+    body_load_s: Array  #: integral of the body's share of the load over time, (R,)
 
     def rows(self, index: Rows) -> CrawlState:
         """Return the states of some of the robots."""
@@ -197,7 +200,7 @@ class Crawl:
         self._start_m = np.zeros((len(bodies), 2))
         self.direction = np.zeros((len(bodies), 2))
         self._measured = np.zeros((len(bodies), 6))  # the first six fields of `Progress`
-        self._borne_s = np.zeros(len(bodies))  # integral of the body's share of the load over time
+        self._body_load_s = np.zeros(len(bodies))  # integral of the body's share of the load over time
         self._start(self.simulation.indices(), 0.0)
 
     def reset(
@@ -256,11 +259,11 @@ class Crawl:
 
     def _state_fields(self) -> tuple[NDArray[Any], ...]:
         """Return the arrays of `CrawlState` for all rows, without the simulation."""
-        return self.failure, self._start_m, self.direction, self._measured, self._borne_s
+        return self.failure, self._start_m, self.direction, self._measured, self._body_load_s
 
     def _start(self, index: Rows, goal_rad: float) -> None:
         self.failure[index] = Failure.NONE
-        self._borne_s[index] = 0.0
+        self._body_load_s[index] = 0.0
         pose = self.simulation.pose(index)
         self._start_m[index] = pose.com_m[:, :2]
         self.direction[index] = np.cos(goal_rad), np.sin(goal_rad)
@@ -301,18 +304,18 @@ class Crawl:
         if not index.size:
             return
         heating = self.simulation.heat(power, index)
-        places = np.arange(len(index))
+        active = np.arange(len(index))
         for number in range(count):
             first = number * STEPS_PER_INTERVAL
             trace = self.simulation.advance(
-                heating, places, first, first + STEPS_PER_INTERVAL, trace=on_interval is not None
+                heating, active, first, first + STEPS_PER_INTERVAL, trace=on_interval is not None
             )
-            moved = index if len(places) == len(index) else index[places]
-            self._judge(moved)
+            moved = index[active]
+            self._check_failures(moved)
             if on_interval is not None and trace is not None:
                 on_interval(trace)
-            places = places[(limit[places] > number + 1) & ~self._stopped(moved)]
-            if not places.size:
+            active = active[(limit[active] > number + 1) & ~self._stopped(moved)]
+            if not active.size:
                 break
 
     def progress(self, rows: Rows | None = None) -> Progress:
@@ -329,12 +332,12 @@ class Crawl:
         measured[:, 1:3] = turn(index, self.direction, moved_m)
         measured[:, 3] = np.arctan2(forward[:, 1], forward[:, 0])
         measured[:, 4] = self.simulation.energy_j[index]
-        measured[:, 5] = self._borne_s[index] / np.maximum(pose.time_s, EPISODE_S)
+        measured[:, 5] = self._body_load_s[index] / np.maximum(pose.time_s, EPISODE_S)
         return measured
 
-    def _judge(self, index: Rows) -> None:
+    def _check_failures(self, index: Rows) -> None:
         pose = self.simulation.pose(index)
-        _bear(index, pose.load_n, CONTROL_INTERVAL_S, self._borne_s)
+        _add_body_load(index, pose.load_n, CONTROL_INTERVAL_S, self._body_load_s)
         measured = self._measured[index] = self._measure(index, pose)
         _, _, lateral_m, heading_rad, _, body_load = measured.T
         diverged = self.simulation.diverged(index)

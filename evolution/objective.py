@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from caterpillar_env.arrays import Array
-from caterpillar_env.errors import CaterpillarError
+from caterpillar_env.errors import CaterpillarError, show
 from caterpillar_env.physics import CONTROL_INTERVAL_S
 from caterpillar_env.robot import Outcomes
 from caterpillar_env.task import EPISODE_S, Failure
@@ -60,8 +60,8 @@ def score(objective: Objective, outcomes: Outcomes, failed_fitness: float) -> Ar
     values = np.array(objective(copy.deepcopy(outcomes)), dtype=np.float64)
     if values.shape != healthy.shape or not np.isfinite(values[healthy]).all():
         raise CaterpillarError(
-            f"an objective must return {len(healthy)} finite numbers, one per robot, shape "
-            f"{healthy.shape}; got {values.tolist()}, shape {values.shape}"
+            f"an objective must return shape {healthy.shape}, with a finite number for every robot that "
+            f"did not fail; got shape {values.shape}, {show(values)}"
         )
     return np.where(healthy, values, failed_fitness)
 

@@ -178,11 +178,12 @@ class History:
                 f"`caterpillar resume {shlex.quote(str(self.folder))}`"
             )
         leaders = []
-        for _, end, best, _ in self._completions[: len(self.generations)]:
-            if best is None:
-                leader = max(self.evaluations[:end], key=lambda e: e.distance_m)
+        for completion in self._completions[: len(self.generations)]:
+            if completion.best is None:
+                before = self.evaluations[: completion.evaluations]
+                leader = max(before, key=lambda e: e.distance_m)
             else:
-                leader = self.evaluations[best]
+                leader = self.evaluations[completion.best]
             leaders.append(self.robot(leader))
         return leaders
 
@@ -270,15 +271,16 @@ class History:
 
         This records the completion, and writes the best robot to best.json if it changed.
         """
-        number, before = len(self.generations), self.best
-        known = self.replaying
+        number, before, replayed = len(self.generations), self.best, self.replaying
         outcomes = self._advance()
         if self.best is not None and self.kind == "evolution":
             file = self.folder / "best.json"
-            if (not known and self.best is not before) or not (self.replaying or file.exists()):
+            is_better = self.best is not before and not replayed
+            is_missing = not self.replaying and not file.exists()
+            if is_better or is_missing:
                 advice = f"free some space and run `caterpillar resume {shlex.quote(str(self.folder))}`"
                 self.robot(self.best).save(file, advice)
-        if not known:  # last, so that a resumed run repeats a failed write of best.json
+        if not replayed:  # last, so that a resumed run repeats a failed write of best.json
             self._journal.complete(self._completions[number])
         return outcomes
 
@@ -297,15 +299,16 @@ class History:
 
     def _find_completion(self, rows: Sequence[Evaluation], outcomes: Outcomes) -> Completion:
         """Return the completion of the next generation, given all of its evaluations."""
-        number, end = len(self.generations), rows[-1].number + 1
-        best, value = self._completions[-1][2:] if self._completions else (None, None)
+        number, end, best, value = len(self.generations), rows[-1].number + 1, None, None
+        if self._completions:
+            best, value = self._completions[-1].best, self._completions[-1].value
         found = find_best(self.objective, outcomes)
         if found is not None and (value is None or found[1] > value):
             best, value = rows[found[0]].number, found[1]
         return Completion(number, end, best, value)
 
     def _advance(self) -> Outcomes:
-        """Summarize the next generation, and return its outcomes."""
+        """Add the next generation to `generations`, update `best`, and return the outcomes."""
         number, rows = len(self.generations), self._next_rows()
         if not rows:
             raise damaged(self._journal.path, f"generation {number} has no evaluations")

@@ -6,6 +6,7 @@ supplies the outcomes of genomes that were evaluated before.
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -89,7 +90,7 @@ def resume(
     Args:
         folder: run folder.
         generations: new total number of generations, to make the run longer.
-        budget_s: new total budget in simulated seconds, to make the run longer.
+        budget_s: new total budget in simulated seconds; it must not be less than what was simulated.
         evaluator: see `evolve`.
         optimizer: your own optimizer in its initial state, if the run used one.
         objective: your own objective, if the run used one.
@@ -123,6 +124,14 @@ def resume(
                 f"a run can only be made longer: it has {history.config.generations} generations, "
                 f"and generations = {generations} is fewer"
             )
+        if budget_s is not None:
+            budget_s = check_number("budget_s", budget_s, 0)
+            spent_s = sum(e.simulated_s for e in history.evaluations)
+            if budget_s < min(history.config.budget_s or math.inf, spent_s):
+                raise CaterpillarError(
+                    f"a run can only be made longer: it has simulated {spent_s:g} s, and budget_s = "
+                    f"{budget_s:g} is less"
+                )
         if on_warning is not None:
             warn_of_versions(history, on_warning)
         optimizer = history.config.make_optimizer() if optimizer is None else optimizer

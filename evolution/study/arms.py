@@ -188,7 +188,7 @@ class EvolutionArm:
                     raise CaterpillarError(
                         f"{folder} cannot be restored: the genomes of generation "
                         f"{len(history.generations)} differ from the recorded ones. The package or "
-                        "NumPy has changed; install the versions that the study used, or start a new one"
+                        "NumPy has changed; install the versions of the study, or start a new study"
                     )
                 history.append(genomes, _to_outcomes(generation))
                 outcomes = history.complete()

@@ -93,8 +93,8 @@ class StudyConfig:
             )
         if self.long_seeds and not isinstance(self.arms[self.reference], EvolutionArm):
             raise CaterpillarError(
-                f"long_seeds needs a reference of the kind evolution, unlike {self.reference}; remove "
-                "long_seeds"
+                f"long_seeds needs a reference of the kind evolution, and {self.reference} is of "
+                "another kind; choose another reference, or remove long_seeds"
             )
         times_s = self.compare_at_s
         if len(set(times_s)) < len(times_s) or not all(0 < time_s < self.budget_s for time_s in times_s):

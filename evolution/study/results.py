@@ -46,7 +46,7 @@ def read_run(config: StudyConfig, cell: Cell, study: Path) -> History | None:
         return None  # running this cell reports the error
     if not config.arms[cell.arm].matches(history, cell.seed, config.budget_of(cell)):
         raise CaterpillarError(
-            f"{folder} was run with other settings than those of the study; choose another study folder "
+            f"{folder} has settings that differ from those of the study; choose another study folder "
             "with --out"
         )
     return history

@@ -327,6 +327,8 @@ def test_a_run_can_be_made_longer_but_not_shorter(tmp_path, invented):
     assert len(longer.generations) == 5
     with pytest.raises(CaterpillarError, match="a run can only be made longer: it has 5 generations"):
         resume(tmp_path / "short", generations=3)
+    with pytest.raises(CaterpillarError, match="and budget_s = 30 is less"):
+        resume(tmp_path / "short", budget_s=30)
 
 
 def test_every_chunk_is_recorded_with_its_own_genomes(tmp_path, monkeypatch, invented):
@@ -604,7 +606,9 @@ def test_resuming_a_run_with_a_custom_objective_requires_the_objective(tmp_path,
     ],
 )
 def test_an_objective_that_returns_invalid_values_is_refused(tmp_path, objective, invented):
-    with pytest.raises(CaterpillarError, match=r"must return 4 finite numbers, .* shape \(4,\); got"):
+    with pytest.raises(
+        CaterpillarError, match=r"must return shape \(4,\), with a finite number for every .* got shape"
+    ):
         evolve(CONFIG, tmp_path / "run", evaluator=invented, objective=objective)
 
 
