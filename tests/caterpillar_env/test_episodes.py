@@ -249,7 +249,9 @@ def test_copies_sample_the_same_actions(branch_of):
 def test_state_of_another_robot_is_refused(env):
     longer = CaterpillarEnv(physics={"num_segments": 5})
     longer.reset(seed=0)
-    with pytest.raises(CaterpillarError, match=r"1 robots with 12 springs each; got the shape \(1, 16\)"):
+    with pytest.raises(
+        CaterpillarError, match=r"1 robots with 12 springs each; got the shape \(1, 16\)"
+    ):
         env.set_state(longer.get_state())
     with pytest.raises(CaterpillarError, match=r"got the shape \(2, 12\)"):
         env.set_state(env.get_state().rows([0, 0]))
