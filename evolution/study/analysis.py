@@ -66,7 +66,7 @@ class Analysis:
     distances: dict[float, list[Distances]]  #: by simulated time, s; the last one is the budget
     gains: dict[int, list[Gain]]  #: by number of generations
     speed_ups: dict[str, list[tuple[float, Estimate]]]  #: by arm, with thresholds in m
-    trends: list[Trend]  #: change of speed-ups with the number of genes, for the last threshold
+    trends: list[Trend]  #: how effects of priors change with the number of genes (last threshold)
     ecdf: dict[str, Array]  #: share of (run, target) pairs reached at each time of `grid_s`
     grid_s: Array
 
@@ -82,7 +82,6 @@ def analyse(config: StudyConfig, results: Results) -> Analysis:
         thresholds = [Threshold(generations=count) for count in config.generations]
     gains = {count: _gains(config, runs, count) for count in config.generations}
     times = {threshold: find_times(config, runs, threshold) for threshold in thresholds}
-    last = thresholds[-1]
     return Analysis(
         config=config,
         missing=results.missing,
@@ -94,7 +93,7 @@ def analyse(config: StudyConfig, results: Results) -> Analysis:
         },
         gains={count: rows for count, rows in gains.items() if rows},
         speed_ups=find_speed_ups(config, runs),
-        trends=find_trends(config, runs, last, times[last]),
+        trends=find_trends(config, runs, thresholds[-1]),
         ecdf={
             arm: statistics.target_ecdf(
                 np.array([[run.time_to(t) for t in targets_m] for run in found]), grid_s
@@ -212,9 +211,10 @@ def summarize(analysis: Analysis) -> list[str]:
                     f"{count} generations."
                 )
     lines += [
-        f"{trend.name}: the ratio of expected running times changes by a factor of "
-        f"{format_estimate(trend.per_doubling)} when the number of genes doubles "
-        f"({trend.genes[0]} to {trend.genes[-1]} genes)."
+        f"{trend.name}: when the number of genes doubles ({trend.genes[0]} to {trend.genes[-1]} genes), "
+        "the ratio of the median distances changes by a factor of "
+        f"{format_estimate(trend.distance_per_doubling)}, and the ratio of expected running times by "
+        f"a factor of {format_estimate(trend.speed_up_per_doubling)}."
         for trend in analysis.trends
     ]
     return lines

@@ -13,11 +13,14 @@ from caterpillar_env.arrays import Array
 from evolution.study import statistics
 from evolution.study.analysis import Analysis
 from evolution.study.times import arrivals
-from evolution.study.trends import LARGEST_SPEED_UP
+from evolution.study.trends import LARGEST_RATIO
 
 _KILO = 1000.0  # the time axes are in 1000 s
 _TIME = "simulated time (1000 s)"
+_RATIO = "ratio of expected running times\n(reference to arm)"
 _THIN: dict[str, Any] = {"alpha": 0.4, "linewidth": 0.7}  # lines of single runs
+_FEW_ARMS = 6  #: with more arms, figures have no lines of single runs
+_LONG_LEGEND, _LONG_LABEL = 12, 30  #: entries of a legend, and characters of an entry
 _BAND: dict[str, Any] = {"alpha": 0.12, "linewidth": 0}  # quartiles
 
 
@@ -29,13 +32,14 @@ def draw_best(analysis: Analysis) -> Figure:
         runs = analysis.runs[arm]
         steps_mm = 1000 * np.array([run.best_at_times(analysis.grid_s) for run in runs])
         low, median, high = np.quantile(steps_mm, [0.25, 0.5, 0.75], axis=0)
-        axis.step(time, steps_mm.T, where="post", color=colour, **_THIN)
+        if len(analysis.runs) <= _FEW_ARMS:
+            axis.step(time, steps_mm.T, where="post", color=colour, **_THIN)
         axis.fill_between(time, low, high, step="post", color=colour, **_BAND)
         axis.step(time, median, where="post", color=colour, linewidth=2, label=f"{arm} ({len(runs)})")
     for level_m in {row.threshold_m for rows in analysis.times.values() for row in rows}:
         axis.axhline(1000 * level_m, color="black", linewidth=0.6, linestyle=":")
     axis.set(xlim=(0, None), ylim=(0, None))
-    _add_legend(axis)
+    _add_legend(figure)
     return figure
 
 
@@ -56,14 +60,15 @@ def draw_generations(analysis: Analysis) -> Figure | None:
         generations = np.arange(1, most + 1)
         best_mm = 1000 * np.array([[run.best_after(n) for n in generations.tolist()] for run in runs])
         low, median, high = np.quantile(best_mm[:, :fewest], [0.25, 0.5, 0.75], axis=0)
-        axis.plot(generations, best_mm.T, color=colour, **_THIN)
+        if len(arms) <= _FEW_ARMS:
+            axis.plot(generations, best_mm.T, color=colour, **_THIN)
         axis.fill_between(generations[:fewest], low, high, color=colour, **_BAND)
         label = f"{arm} ({len(runs)})"
         axis.plot(generations[:fewest], median, color=colour, linewidth=2, label=label)
     if not axis.lines:
         return None
     axis.set(xlim=(0, None), ylim=(0, None))
-    _add_legend(axis)
+    _add_legend(figure)
     return figure
 
 
@@ -103,7 +108,7 @@ def draw_survival(analysis: Analysis) -> Figure | None:
         axis.set(xlabel=_TIME, ylim=(-0.02, 1.02))
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("share of runs below the threshold")
-    _add_legend(axes[-1])
+    _add_legend(figure)
     return figure
 
 
@@ -111,7 +116,7 @@ def draw_speed_ups(analysis: Analysis) -> Figure | None:
     """Draw the speed-up of each arm over a range of thresholds, or return None if there is none."""
     if not analysis.speed_ups:
         return None
-    figure, axis = _new_figure("ratio of expected running times\n(reference to arm)")
+    figure, axis = _new_figure(_RATIO)
     axis.set_xlabel("distance to reach (mm)")
     colours = _colours(analysis)
     for arm, rows in analysis.speed_ups.items():
@@ -120,31 +125,38 @@ def draw_speed_ups(analysis: Analysis) -> Figure | None:
         axis.fill_between(levels_mm, _bound(low), _bound(high), color=colours[arm], alpha=0.12)
         _plot_ratios(axis, levels_mm, value, colours[arm], label=arm, line="-")
     _finish_ratios(axis)
+    _add_legend(figure)
     return figure
 
 
 def draw_genes(analysis: Analysis) -> Figure | None:
-    """Draw the speed-up by a prior over the number of genes, or return None if there are no trends."""
-    if not analysis.trends:
+    """Draw the effects of priors over the number of genes, or return None if there are no trends."""
+    trends = [trend for trend in analysis.trends if trend.groups == 1]
+    if not trends:
         return None
-    figure, axis = _new_figure("ratio of expected running times\n(reference to arm)")
-    axis.set_xlabel("number of genes")
-    palette = colormaps["tab10"]
-    for number, trend in enumerate(analysis.trends):
-        genes = np.array(trend.genes) * 1.01**number  # so that intervals do not hide each other
-        value, low, high = np.array(trend.speed_ups).T
-        axis.vlines(genes, _bound(low), _bound(high), color=palette(number), alpha=0.6)
-        _plot_ratios(axis, genes, value, palette(number), label=trend.name, line=":")
-    axis.set_xscale("log")
-    axis.xaxis.set_major_formatter("{x:.0f}")
-    axis.xaxis.set_minor_formatter("{x:.0f}")
-    _finish_ratios(axis)
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    titles = ("ratio of median distances\n(arm to reference)", _RATIO)
+    for axis, title, field in zip(
+        figure.subplots(1, 2), titles, ("distances", "speed_ups"), strict=True
+    ):
+        for number, trend in enumerate(trends):
+            genes = np.array(trend.genes) * 1.01**number  # so that intervals do not hide each other
+            value, low, high = np.array(getattr(trend, field)).T
+            colour = colormaps["tab10"](number)
+            axis.vlines(genes, _bound(low), _bound(high), color=colour, alpha=0.6)
+            _plot_ratios(axis, genes, value, colour, label=trend.name, line=":")
+        axis.set_xscale("log")
+        axis.set(xlabel="number of genes", ylabel=title)
+        axis.xaxis.set_major_formatter("{x:.0f}")
+        axis.xaxis.set_minor_formatter("{x:.0f}")
+        _finish_ratios(axis)
+    _add_legend(figure)
     return figure
 
 
 def _bound(ratios: Array) -> Array:
     """Clip ratios to the range of the axis. Undefined ratios stay NaN."""
-    bounded: Array = np.clip(ratios, 1 / LARGEST_SPEED_UP, LARGEST_SPEED_UP)
+    bounded: Array = np.clip(ratios, 1 / LARGEST_RATIO, LARGEST_RATIO)
     return bounded
 
 
@@ -162,7 +174,7 @@ def _finish_ratios(axis: Axes) -> None:
     axis.axhline(1.0, color="black", linewidth=0.8)
     axis.set_yscale("log")
     axis.yaxis.set_major_formatter("{x:g}")
-    _add_legend(axis)
+    axis.grid(alpha=0.3)
 
 
 def draw_targets(analysis: Analysis) -> Figure:
@@ -171,7 +183,7 @@ def draw_targets(analysis: Analysis) -> Figure:
     for arm, colour in _colours(analysis).items():
         axis.plot(analysis.grid_s / _KILO, analysis.ecdf[arm], color=colour, label=arm)
     axis.set(xlim=(0, None), ylim=(0, 1))
-    _add_legend(axis)
+    _add_legend(figure)
     return figure
 
 
@@ -179,6 +191,7 @@ def _new_figure(ylabel: str) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(9, 5), layout="constrained")
     axis = figure.subplots()
     axis.set(xlabel=_TIME, ylabel=ylabel)
+    axis.grid(alpha=0.3)
     return figure, axis
 
 
@@ -191,6 +204,16 @@ def _colours(analysis: Analysis) -> dict[str, Any]:
     return {arm: palette(number) for number, arm in enumerate(analysis.runs)}
 
 
-def _add_legend(axis: Axes) -> None:
-    axis.grid(alpha=0.3)
-    axis.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
+def _add_legend(figure: Figure) -> None:
+    """Add a legend of all lines beside the axes or, if it is long, below them."""
+    lines = {str(line.get_label()): line for axis in figure.axes for line in axis.lines}
+    shown = {label: line for label, line in lines.items() if not label.startswith("_")}
+    has_long_labels = max(map(len, shown), default=0) > _LONG_LABEL
+    if len(shown) <= _LONG_LEGEND and not has_long_labels:
+        figure.legend(list(shown.values()), list(shown), fontsize="small", loc="outside right upper")
+        return
+    columns = 2 if has_long_labels else 4
+    figure.set_figheight(figure.get_figheight() + 0.2 * -(-len(shown) // columns))
+    figure.legend(
+        list(shown.values()), list(shown), fontsize="small", loc="outside lower center", ncols=columns
+    )

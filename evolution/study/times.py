@@ -128,7 +128,7 @@ def find_times(config: StudyConfig, runs: Runs, threshold: Threshold) -> list[Ti
     p = compare(config, runs, partial(_log_rank, threshold, budget_s=budget_s))
     known = {arm: value for arm, value in p.items() if value is not None}
     log_rank = statistics.holm(known, config.comparisons())
-    speed_up = compare(config, runs, partial(_speed_up, threshold, budget_s=budget_s))
+    speed_up = compare(config, runs, partial(estimate_speed_up, threshold, budget_s=budget_s))
     rows = []
     for arm, found in runs.items():
         reference = runs.get(config.reference_of(arm), [])
@@ -167,7 +167,7 @@ def find_speed_ups(config: StudyConfig, runs: Runs) -> dict[str, list[tuple[floa
         best_m = [run.best_at(config.budget_s) for run in reference]
         levels_m = np.quantile(best_m, 0.75) * np.linspace(1 / STEPS, 1.0, STEPS)
         return [
-            (level_m, _speed_up(Threshold(level_m), group, reference, budget_s=config.budget_s))
+            (level_m, estimate_speed_up(Threshold(level_m), group, reference, budget_s=config.budget_s))
             for level_m in levels_m.tolist()
             if level_m > 0
         ]
@@ -250,7 +250,7 @@ def speed_up_function(
     return speed_up
 
 
-def _speed_up(
+def estimate_speed_up(
     threshold: Threshold, runs: list[Run], reference: list[Run], *, budget_s: float
 ) -> Estimate:
     """Estimate the ratio of ERTs to a threshold, reference to arm."""

@@ -1,58 +1,95 @@
-"""How the speed-up by a prior changes with the number of genes (the conjecture of Saunders 2009)."""
+"""How the effect of a prior changes with the number of genes (the conjecture of Saunders 2009)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from caterpillar_env.arrays import Array
 from evolution.config import RunConfig
 from evolution.study import statistics
 from evolution.study.arms import EvolutionArm
 from evolution.study.config import StudyConfig
+from evolution.study.results import Run
 from evolution.study.statistics import Estimate
-from evolution.study.times import Rows, Runs, Threshold, Times, indices, speed_up_function
+from evolution.study.times import (
+    Rows,
+    Runs,
+    Threshold,
+    estimate_speed_up,
+    indices,
+    speed_up_function,
+)
 
-LARGEST_SPEED_UP = 100.0  #: speed-ups in trends and figures are clipped to 1 / 100 to 100
+LARGEST_RATIO = 100.0  #: ratios in trends and figures are clipped to 1 / 100 to 100
+_Ratio = Callable[[Rows, Rows], float]  #: ratio of a pair of arms, from indices of their runs
 
 
 class Trend(NamedTuple):
-    """Speed-up by a prior for robots with different numbers of genes."""
+    """Effect of a prior for robots with different numbers of genes.
 
-    name: str  #: optimizer, prior, genome and timing of the arms
+    The factors per doubling come from least squares of the logarithms of the ratios, with one intercept
+    for each group of robots. They are NaN if a ratio is undefined.
+    """
+
+    name: str  #: optimizer, prior and timing of the arms, and the kind of the trend
     genes: tuple[int, ...]  #: number of genes of each robot, ascending
-    speed_ups: tuple[Estimate, ...]  #: ratio of ERTs for each robot, reference to arm
-    #: Factor by which the speed-up changes if the number of genes doubles: least squares of the
-    #: logarithms. NaN if an arm and its reference never reach the threshold.
-    per_doubling: Estimate
+    distances: tuple[
+        Estimate, ...
+    ]  #: ratio of the median best distances at the budget, arm to reference
+    speed_ups: tuple[Estimate, ...]  #: ratio of ERTs to the threshold, reference to arm
+    distance_per_doubling: Estimate  #: factor of the first ratio if the number of genes doubles
+    speed_up_per_doubling: Estimate  #: the same factor of the second ratio
+    groups: int = 1  #: number of groups with an intercept of their own
 
 
-def find_trends(config: StudyConfig, runs: Runs, threshold: Threshold, rows: list[Times]) -> list[Trend]:
+class _Pair(NamedTuple):
+    """An arm and its reference, which differ in the prior only."""
+
+    run: RunConfig
+    genes: int
+    runs: list[Run]
+    reference: list[Run]
+
+
+def find_trends(config: StudyConfig, runs: Runs, threshold: Threshold) -> list[Trend]:
     """Return the trends over arms that differ from their references in the prior only.
+
+    Arms with the same optimizer, prior and timing are compared in up to three ways: for each kind of
+    genome, over robots with different numbers of segments; for all kinds of genome together; and for
+    robots with the same number of segments, over the kinds of genome.
 
     Args:
         config: the study.
         runs: finished runs by arm.
         threshold: distance to reach.
-        rows: times of the arms to this threshold.
     """
-    found: dict[str, list[tuple[int, str, Estimate]]] = {}
-    for row in rows:
-        arm, base = config.arms[row.arm], config.arms[config.reference_of(row.arm)]
-        if row.speed_up is None or not (
-            isinstance(arm, EvolutionArm) and isinstance(base, EvolutionArm)
-        ):
+    searches: dict[str, list[_Pair]] = {}
+    for name, group in runs.items():
+        arm, base = config.arms[name], config.arms[config.reference_of(name)]
+        reference = runs.get(config.reference_of(name), [])
+        if arm is base or not (isinstance(arm, EvolutionArm) and isinstance(base, EvolutionArm)):
             continue
         run = arm.config
-        if _without_prior(run) == _without_prior(base.config):
-            name = f"{run.optimizer}, prior {run.prior}, genome {run.genome}, timing {run.timing}"
-            found.setdefault(name, []).append((len(run.encoding.genes), row.arm, row.speed_up))
+        if reference and _without_prior(run) == _without_prior(base.config):
+            search = f"{run.optimizer}, prior {run.prior}, timing {run.timing}"
+            pair = _Pair(run, len(run.encoding.genes), group, reference)
+            searches.setdefault(search, []).append(pair)
     trends = []
-    for name, robots in found.items():
-        genes, arms, speed_ups = zip(*sorted(robots), strict=True)
-        if len(set(genes)) > 1:
-            per_doubling = _fit(config, runs, threshold, genes, arms)
-            trends.append(Trend(name, genes, speed_ups, per_doubling))
+    for search, pairs in searches.items():
+        pairs.sort(key=lambda pair: pair.genes)
+        genomes = _group(pairs, lambda pair: pair.run.genome)
+        robots = _group(pairs, lambda pair: pair.run.physics.num_segments)
+        found = [(f"genome {name}", [group]) for name, group in genomes.items()]
+        if len(genomes) > 1:
+            found.append(("all genomes", list(genomes.values())))
+        if robots:
+            found.append(("same robots", list(robots.values())))
+        trends += [
+            _fit(f"{search}, {kind}", groups, threshold, config.budget_s) for kind, groups in found
+        ]
     return trends
 
 
@@ -61,19 +98,74 @@ def _without_prior(run: RunConfig) -> dict[str, Any]:
     return {name: value for name, value in run.to_dict().items() if name != "prior"}
 
 
-def _fit(
-    config: StudyConfig, runs: Runs, threshold: Threshold, genes: tuple[int, ...], arms: tuple[str, ...]
-) -> Estimate:
-    pairs = [(runs[arm], runs[config.reference_of(arm)]) for arm in arms]
-    functions = [speed_up_function(threshold, *pair, budget_s=config.budget_s) for pair in pairs]
-    x = np.log2(genes)
-    x -= x.mean()
+def _group(pairs: Sequence[_Pair], key: Callable[[_Pair], Hashable]) -> dict[Hashable, list[_Pair]]:
+    """Group pairs by a property, and return the groups with different numbers of genes."""
+    groups: dict[Hashable, list[_Pair]] = {}
+    for pair in pairs:
+        groups.setdefault(key(pair), []).append(pair)
+    return {name: found for name, found in groups.items() if len({pair.genes for pair in found}) > 1}
+
+
+def _fit(name: str, groups: list[list[_Pair]], threshold: Threshold, budget_s: float) -> Trend:
+    pairs = [pair for group in groups for pair in group]
+    distances = [_distance_function(pair, budget_s) for pair in pairs]
+    speed_ups = [
+        speed_up_function(threshold, pair.runs, pair.reference, budget_s=budget_s) for pair in pairs
+    ]
+    x = np.concatenate([_center(np.log2([pair.genes for pair in group])) for group in groups])
+    order = np.argsort([pair.genes for pair in pairs], kind="stable").tolist()
+    return Trend(
+        name=name,
+        genes=tuple(pairs[i].genes for i in order),
+        distances=tuple(_estimate(distances[i], [pairs[i]]) for i in order),
+        speed_ups=tuple(
+            estimate_speed_up(threshold, pairs[i].runs, pairs[i].reference, budget_s=budget_s)
+            for i in order
+        ),
+        distance_per_doubling=_estimate(_slope(x, distances), pairs),
+        speed_up_per_doubling=_estimate(_slope(x, speed_ups), pairs),
+        groups=len(groups),
+    )
+
+
+def _center(values: Array) -> Array:
+    centered: Array = values - values.mean()
+    return centered
+
+
+def _estimate(statistic: Callable[..., float], pairs: Sequence[_Pair]) -> Estimate:
+    groups = [indices(group) for pair in pairs for group in (pair.runs, pair.reference)]
+    return statistics.bootstrap(statistic, *groups)
+
+
+def _distance_function(pair: _Pair, budget_s: float) -> _Ratio:
+    """Return a function that computes the ratio of the median best distances, arm to reference."""
+    best_m, base_m = (
+        np.array([run.best_at(budget_s) for run in group]) for group in (pair.runs, pair.reference)
+    )
+
+    def ratio(rows: Rows, base: Rows) -> float:
+        median_m, reference_m = float(np.median(best_m[rows])), float(np.median(base_m[base]))
+        if reference_m > 0:
+            return median_m / reference_m
+        return float("inf") if median_m > 0 else float("nan")
+
+    return ratio
+
+
+def _slope(x: Array, ratios: Sequence[_Ratio]) -> Callable[..., float]:
+    """Return a function that computes the factor per doubling from indices of the runs of all pairs.
+
+    Args:
+        x: base-2 logarithms of the numbers of genes, with a mean of 0 in each group, (pairs,).
+        ratios: functions of the ratio of each pair.
+    """
 
     def per_doubling(*rows: Rows) -> float:
-        ratios = [f(rows[2 * i], rows[2 * i + 1]) for i, f in enumerate(functions)]
-        if np.isnan(ratios).any():
+        values = [ratio(rows[2 * i], rows[2 * i + 1]) for i, ratio in enumerate(ratios)]
+        if np.isnan(values).any():
             return float("nan")
-        y = np.log2(np.clip(ratios, 1 / LARGEST_SPEED_UP, LARGEST_SPEED_UP))
+        y = np.log2(np.clip(values, 1 / LARGEST_RATIO, LARGEST_RATIO))
         return float(2.0 ** (np.dot(x, y) / np.dot(x, x)))
 
-    return statistics.bootstrap(per_doubling, *(indices(group) for pair in pairs for group in pair))
+    return per_doubling

@@ -85,10 +85,13 @@ def test_speed_ups_beyond_the_axis_are_triangles():
 
 
 def test_speed_ups_of_a_prior_are_drawn_over_the_number_of_genes():
-    trend = Trend("prior body, genome shared", (20, 36), (RATIO, NEVER), RATIO)
-    (axis,) = figures.draw_genes(replace(STUDY, trends=[trend])).axes
-    assert axis.lines[0].get_xdata().tolist() == [20, 36]
-    assert axis.lines[0].get_ydata().tolist() == [2.0, 1600.0]
+    trend = Trend("genome shared", (20, 36), (RATIO, RATIO), (RATIO, NEVER), RATIO, RATIO)
+    pooled = trend._replace(name="all genomes", groups=2)
+    distances, speed_ups = figures.draw_genes(replace(STUDY, trends=[trend, pooled])).axes
+    assert speed_ups.lines[0].get_xdata().tolist() == [20, 36]
+    assert speed_ups.lines[0].get_ydata().tolist() == [2.0, 1600.0]
+    assert distances.lines[0].get_ydata().tolist() == [2.0, 2.0]
+    assert all(line.get_label() != "all genomes" for line in distances.lines)
     assert figures.draw_genes(STUDY) is None
 
 

@@ -9,11 +9,12 @@ from evolution.study.config import StudyConfig, preset
 from evolution.study.results import Results
 
 
-def course(arm, evaluations, runs=5):
-    """Return runs that reach 90 mm after a number of evaluations of 10 s."""
+def course(arm, evaluations, runs=5, distance_m=0.09):
+    """Return runs that reach a distance after a number of evaluations of 10 s."""
+    before = np.arange(40) < evaluations - 1
     rows = {
         "arm": arm, "evaluation": np.arange(40), "generation": np.arange(40) // 4, "failure": "ok",
-        "stopped": False, "simulated_s": 10.0, "distance_m": 0.09 * (np.arange(40) >= evaluations - 1),
+        "stopped": False, "simulated_s": 10.0, "distance_m": np.where(before, 0.0, distance_m),
     }  # fmt: skip
     return polars.concat(polars.DataFrame(rows).with_columns(seed=seed) for seed in range(runs))
 
@@ -46,28 +47,67 @@ def test_speed_ups_of_2_and_4_give_a_power_law(few_draws):
     (trend,) = found.trends
     assert trend.genes == (20, 36)
     assert [estimate.value for estimate in trend.speed_ups] == pytest.approx([2.0, 4.0])
-    assert trend.per_doubling == pytest.approx([2 ** (1 / np.log2(36 / 20))] * 3)
+    assert trend.speed_up_per_doubling == pytest.approx([2 ** (1 / np.log2(36 / 20))] * 3)
+    assert [estimate.value for estimate in trend.distances] == [1.0, 1.0]  # 90 mm in all runs
+    assert trend.distance_per_doubling == (1.0, 1.0, 1.0)
     assert summarize(found)[-1] == (
-        "ga, prior body, genome shared, timing on-off: the ratio of expected running times changes by a "
-        "factor of 2.26 (2.26 to 2.26) when the number of genes doubles (20 to 36 genes)."
+        "ga, prior body, timing on-off, genome shared: when the number of genes doubles (20 to 36 "
+        "genes), the ratio of the median distances changes by a factor of 1.00 (1.00 to 1.00), and the "
+        "ratio of expected running times by a factor of 2.26 (2.26 to 2.26)."
     )
+
+
+def test_trends_have_an_intercept_for_each_kind_of_genome_or_robot(few_draws):
+    arms, references, rows = {}, {}, []
+    # The prior multiplies the distance by a factor of the kind of genome, and by 2 with each doubling.
+    robots = [("shared", 4, 20, 1.5), ("shared", 8, 36, 1.5), ("full", 4, 32, 3.0), ("full", 8, 64, 3.0)]
+    for genome, segments, genes, factor in robots:
+        uniform, body = (f"{segments}-{genome}-{prior}" for prior in ("uniform", "body"))
+        for arm, prior in ((uniform, "uniform"), (body, "body")):
+            arms[arm] = {"prior": prior, "genome": genome, "physics": {"num_segments": segments}}
+        references[body] = uniform
+        rows += [
+            course(uniform, 5, distance_m=0.01),
+            course(body, 5, distance_m=0.01 * factor * genes / 20),
+        ]
+    config = StudyConfig.from_dict(
+        {
+            "seeds": list(range(5)), "budget_s": 400, "thresholds_m": [0.01], "arms": arms,
+            "reference": "4-shared-uniform", "references": references,
+        }
+    )  # fmt: skip
+    trends = {
+        t.name.split(", ")[-1]: t for t in analyse(config, Results(polars.concat(rows), [])).trends
+    }
+    assert {name: (trend.genes, trend.groups) for name, trend in trends.items()} == {
+        "genome shared": ((20, 36), 1),
+        "genome full": ((32, 64), 1),
+        "all genomes": ((20, 32, 36, 64), 2),
+        "same robots": ((20, 32, 36, 64), 2),
+    }
+    for name in ("genome shared", "genome full", "all genomes"):
+        assert trends[name].distance_per_doubling == pytest.approx([2.0] * 3)
+    # From "shared" to "full", the ratio also doubles because of the kind of the genome.
+    low, high = (1 + 1 / np.log2(ratio) for ratio in (64 / 36, 32 / 20))
+    assert 2**low < trends["same robots"].distance_per_doubling.value < 2**high
 
 
 def test_trend_is_known_while_an_arm_lacks_runs(few_draws):
     evaluations = {"4-uniform": 20, "4-body": 10, "8-uniform": 40, "8-body": 10}
     (trend,) = compare(evaluations, {"4-body": 2, "8-uniform": 3}).trends
-    assert trend.per_doubling.value == pytest.approx(2 ** (1 / np.log2(36 / 20)))
+    assert trend.speed_up_per_doubling.value == pytest.approx(2 ** (1 / np.log2(36 / 20)))
 
 
 def test_robot_that_never_arrives_bounds_the_trend(few_draws):
     (trend,) = compare({"4-uniform": 20, "4-body": 20, "8-uniform": 99, "8-body": 10}).trends
     assert trend.speed_ups[1].value == np.inf
-    assert trend.per_doubling.value == pytest.approx(100 ** (1 / np.log2(36 / 20)))
+    assert trend.speed_up_per_doubling.value == pytest.approx(100 ** (1 / np.log2(36 / 20)))
 
 
 def test_trend_is_unknown_if_both_arms_of_a_robot_never_arrive(few_draws):
     (trend,) = compare({"4-uniform": 20, "4-body": 20, "8-uniform": 99, "8-body": 99}).trends
-    assert np.isnan(trend.per_doubling.value)
+    assert np.isnan(trend.speed_up_per_doubling.value)
+    assert np.isnan(trend.distance_per_doubling.value)
 
 
 def test_one_robot_has_no_trend(few_draws):
