@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from caterpillar_env.arrays import Array
 from evolution.study import statistics
@@ -19,8 +21,8 @@ _KILO = 1000.0  # the time axes are in 1000 s
 _TIME = "simulated time (1000 s)"
 _RATIO = "ratio of expected running times\n(reference to arm)"
 _THIN: dict[str, Any] = {"alpha": 0.4, "linewidth": 0.7}  # lines of single runs
-_FEW_ARMS = 6  #: with more arms, figures have no lines of single runs
-_LONG_LEGEND, _LONG_LABEL = 12, 30  #: entries of a legend, and characters of an entry
+_FEW_ARMS = 12  # with more arms, figures have neither bands nor lines of single runs
+_LONG_LEGEND, _LONG_LABEL = 12, 30  # entries of a legend, and characters of an entry
 _BAND: dict[str, Any] = {"alpha": 0.12, "linewidth": 0}  # quartiles
 
 
@@ -34,7 +36,7 @@ def draw_best(analysis: Analysis) -> Figure:
         low, median, high = np.quantile(steps_mm, [0.25, 0.5, 0.75], axis=0)
         if len(analysis.runs) <= _FEW_ARMS:
             axis.step(time, steps_mm.T, where="post", color=colour, **_THIN)
-        axis.fill_between(time, low, high, step="post", color=colour, **_BAND)
+            axis.fill_between(time, low, high, step="post", color=colour, **_BAND)
         axis.step(time, median, where="post", color=colour, linewidth=2, label=f"{arm} ({len(runs)})")
     for level_m in {row.threshold_m for rows in analysis.times.values() for row in rows}:
         axis.axhline(1000 * level_m, color="black", linewidth=0.6, linestyle=":")
@@ -62,7 +64,7 @@ def draw_generations(analysis: Analysis) -> Figure | None:
         low, median, high = np.quantile(best_mm[:, :fewest], [0.25, 0.5, 0.75], axis=0)
         if len(arms) <= _FEW_ARMS:
             axis.plot(generations, best_mm.T, color=colour, **_THIN)
-        axis.fill_between(generations[:fewest], low, high, color=colour, **_BAND)
+            axis.fill_between(generations[:fewest], low, high, color=colour, **_BAND)
         label = f"{arm} ({len(runs)})"
         axis.plot(generations[:fewest], median, color=colour, linewidth=2, label=label)
     if not axis.lines:
@@ -81,7 +83,7 @@ def draw_survival(analysis: Analysis) -> Figure | None:
     known = {threshold: levels_m for threshold, levels_m in known.items() if levels_m}
     if not known:
         return None
-    figure = Figure(figsize=(4.2 * len(known), 4.4), layout="constrained")
+    figure = Figure(figsize=(max(4.2 * len(known), 9), 4.4), layout="constrained")
     axes = np.atleast_1d(figure.subplots(1, len(known), sharey=True))
     for axis, (threshold, levels_m) in zip(axes, known.items(), strict=True):
         for arm, colour in _colours(analysis).items():
@@ -97,7 +99,8 @@ def draw_survival(analysis: Analysis) -> Figure | None:
                 for values in (curve.share, curve.low, curve.high)
             )
             axis.step(time, share, where="post", color=colour, label=arm)
-            axis.fill_between(time, low, high, step="post", color=colour, alpha=0.08)
+            if len(analysis.runs) <= _FEW_ARMS:
+                axis.fill_between(time, low, high, step="post", color=colour, alpha=0.08)
             censored = ends[~reached] / _KILO
             rows = np.searchsorted(time, censored, side="right") - 1
             axis.plot(censored, share[rows], "|", color=colour, markersize=9)
@@ -122,7 +125,8 @@ def draw_speed_ups(analysis: Analysis) -> Figure | None:
     for arm, rows in analysis.speed_ups.items():
         levels_mm = 1000 * np.array([level_m for level_m, _ in rows])
         value, low, high = np.array([estimate for _, estimate in rows]).T
-        axis.fill_between(levels_mm, _bound(low), _bound(high), color=colours[arm], alpha=0.12)
+        if len(analysis.speed_ups) <= _FEW_ARMS:
+            axis.fill_between(levels_mm, _bound(low), _bound(high), color=colours[arm], **_BAND)
         _plot_ratios(axis, levels_mm, value, colours[arm], label=arm, line="-")
     _finish_ratios(axis)
     _add_legend(figure)
@@ -145,10 +149,8 @@ def draw_genes(analysis: Analysis) -> Figure | None:
             colour = colormaps["tab10"](number)
             axis.vlines(genes, _bound(low), _bound(high), color=colour, alpha=0.6)
             _plot_ratios(axis, genes, value, colour, label=trend.name, line=":")
-        axis.set_xscale("log")
-        axis.set(xlabel="number of genes", ylabel=title)
-        axis.xaxis.set_major_formatter("{x:.0f}")
-        axis.xaxis.set_minor_formatter("{x:.0f}")
+        axis.set(xlabel="number of genes", ylabel=title, xscale="log")
+        _label_decades(axis.xaxis)
         _finish_ratios(axis)
     _add_legend(figure)
     return figure
@@ -173,8 +175,15 @@ def _plot_ratios(axis: Axes, x: Array, ratios: Array, colour: Any, *, label: str
 def _finish_ratios(axis: Axes) -> None:
     axis.axhline(1.0, color="black", linewidth=0.8)
     axis.set_yscale("log")
-    axis.yaxis.set_major_formatter("{x:g}")
+    _label_decades(axis.yaxis)
     axis.grid(alpha=0.3)
+
+
+def _label_decades(axis: Axis) -> None:
+    """Label a logarithmic axis at 1, 2 and 5 times the powers of ten."""
+    axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter("{x:g}")
 
 
 def draw_targets(analysis: Analysis) -> Figure:
@@ -208,11 +217,11 @@ def _add_legend(figure: Figure) -> None:
     """Add a legend of all lines beside the axes or, if it is long, below them."""
     lines = {str(line.get_label()): line for axis in figure.axes for line in axis.lines}
     shown = {label: line for label, line in lines.items() if not label.startswith("_")}
-    has_long_labels = max(map(len, shown), default=0) > _LONG_LABEL
-    if len(shown) <= _LONG_LEGEND and not has_long_labels:
+    longest = max(map(len, shown), default=0)
+    if len(shown) <= _LONG_LEGEND and longest <= _LONG_LABEL:
         figure.legend(list(shown.values()), list(shown), fontsize="small", loc="outside right upper")
         return
-    columns = 2 if has_long_labels else 4
+    columns = max(1, int(figure.get_figwidth() / (0.5 + 0.065 * longest)))  # inches per entry
     figure.set_figheight(figure.get_figheight() + 0.2 * -(-len(shown) // columns))
     figure.legend(
         list(shown.values()), list(shown), fontsize="small", loc="outside lower center", ncols=columns

@@ -23,15 +23,15 @@ from evolution.study.winners import Retest
 _CAPTIONS = {
     "generations": "Best distance over generations, as in Fig. 11 of the paper. Thick lines: medians, "
     "as far as all runs of the arm go; bands: the middle half of the runs (not confidence intervals); "
-    "thin lines: all runs (with at most six arms).",
+    "thin lines: all runs.",
     "best-so-far": "Best distance so far. Thick lines: medians; bands: the middle half of the runs (not "
-    "confidence intervals); thin lines: all runs (with at most six arms); dotted lines: thresholds.",
-    "survival": "Share of runs that have not reached a threshold (Kaplan-Meier, 95 % intervals). Ticks: "
-    "runs that ended below the threshold.",
-    "speed-up": "Ratio of expected running times, reference to arm, by the distance to reach, with 95 % "
-    "intervals. Above 1, the arm is faster. The last distance is the upper quartile of the reference's "
-    "runs. Triangles: no run of the reference (up) or of the arm (down) reached that distance. Values "
-    "beyond the axis are drawn at its ends.",
+    "confidence intervals); thin lines: all runs; dotted lines: thresholds.",
+    "survival": "Share of runs that have not reached a threshold (Kaplan-Meier). Bands: 95 % intervals; "
+    "ticks: runs that ended below the threshold.",
+    "speed-up": "Ratio of expected running times, reference to arm, by the distance to reach. Above 1, "
+    "the arm is faster. Bands: 95 % intervals. The last distance is the upper quartile of the "
+    "reference's runs. Triangles: no run of the reference (up) or of the arm (down) reached that "
+    "distance. Values beyond the axis are drawn at its ends.",
     "genes": "Effects of priors by the number of genes, with 95 % intervals. Above 1, the arm with the "
     "prior is better. An arm and its reference have the same robot. Triangles: no run of the reference "
     "(up) or of the arm (down) reached the threshold.",
