@@ -43,7 +43,7 @@ def test_runs_with_other_settings_are_rejected(finished, tmp_path):
     other = StudyConfig.from_dict(changed(arms=arms))
     begin(other, tmp_path / "copy")
     shutil.copytree(finished / "cells", tmp_path / "copy" / "cells")
-    with pytest.raises(CaterpillarError, match=r"cma-es/seed-0 was run with other settings"):
+    with pytest.raises(CaterpillarError, match=r"cma-es/seed-0 has settings that differ"):
         collect(other, tmp_path / "copy")
 
 
