@@ -32,7 +32,7 @@ class Gait(NamedTuple):
     peak_speed_m_s: float  #: largest speed of the centre of mass, averaged over 10 ms
     airborne: float  #: share of the distance covered while nothing supports the robot
     slip: float  #: load-weighted sliding distance of the feet, relative to the distance
-    body_load: float  #: share of the ground load carried by the body instead of the feet
+    body_load: float  #: share of the ground load carried by the elements instead of the feet
     overrun: float  #: largest excess of a joint over its limit, relative to the limit
     cost_of_transport: float  #: electrical energy / (weight * distance)
     body_lengths_s: float  #: speed in body lengths per second
@@ -135,5 +135,5 @@ def check_gaits(gaits: Sequence[Gait]) -> list[Check]:
     return [
         check_at_most(f"{name}: median", 0.05, float(np.median(overruns)), ""),
         check_at_most(f"{name}: maximum", 0.15, max(overruns), ""),
-        check_at_most("share of the load on the body: mean", 0.05, float(np.mean(loads)), ""),
+        check_at_most("mean body load", 0.05, float(np.mean(loads)), ""),
     ]

@@ -44,7 +44,7 @@ _MEASURES = {
     "best_tenth": "distance covered in the best tenth of a period",
     "settled": "speed after the first third of the episode",
     "airborne": "distance covered in the air",
-    "body_load": "load on the body",
+    "body_load": "body load",
     "overrun": "overrun of a joint",
     "slip": "slip",
 }

@@ -107,7 +107,7 @@ def test_page_shows_every_number_in_its_unit(tmp_path):
     retest = Retest(
         [Winner("ga-uniform", 1, 0.06, 0.0301, "ok")],
         [Comparison("ga-uniform", "Runge-Kutta", 2, 1, 0.979, 0.95, 1.02, 0.03)],
-        [Crawling("ga-uniform", "load on the body", 2, 0.03, 0.01, 0.05)],
+        [Crawling("ga-uniform", "body load", 2, 0.03, 0.01, 0.05)],
     )
     page = report.write(analysis, retest, tmp_path).read_text("utf-8")
     rows = [row.split("<td>")[1:] for row in re.findall(r"<tr>(<td>.*)</tr>", page)]
@@ -128,7 +128,7 @@ def test_page_shows_every_number_in_its_unit(tmp_path):
         ["ga-uniform", "2", "40.0 (30.0 to 50.0)", fast, "", "114 (90 to ∞)"],
         ["ga-uniform", "1", "60.0", "30.1", "artefact of the timestep"],
         ["ga-uniform", "Runge-Kutta", "2", "1", "97.9 %", "95.0 % to 102.0 %", "30.0"],
-        ["ga-uniform", "2", "load on the body", "3.0 %", "1.0 % to 5.0 %"],
+        ["ga-uniform", "2", "body load", "3.0 %", "1.0 % to 5.0 %"],
     ]  # fmt: skip
     assert "Time to 50 mm" in page
     assert "After 50 generations" in page

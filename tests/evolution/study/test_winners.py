@@ -170,7 +170,7 @@ def test_best_robot_of_every_run_is_simulated_under_the_conditions(compare, tmp_
         Comparison("a", "5 ms", 3, 3 - len(shares), middle, low, high, median_m)
     ]
     loads = np.quantile([measure_gait(robot).body_load for robot in robots], [0.5, 0.25, 0.75])
-    assert Crawling("a", "load on the body", 3, *map(pytest.approx, loads)) in found.crawling
+    assert Crawling("a", "body load", 3, *map(pytest.approx, loads)) in found.crawling
     saved = Robot.load(tmp_path / "winners" / "a" / "seed-1.json")
     assert saved.to_dict() == robots[1].to_dict()
     (winner,) = found.winners
