@@ -90,7 +90,8 @@ def resume(
     Args:
         folder: run folder.
         generations: new total number of generations, to make the run longer.
-        budget_s: new total budget in simulated seconds; it must not be less than what was simulated.
+        budget_s: new total budget in simulated seconds; not below both the former budget and the
+            time that was simulated.
         evaluator: see `evolve`.
         optimizer: your own optimizer in its initial state, if the run used one.
         objective: your own objective, if the run used one.

@@ -198,17 +198,21 @@ def summarize(analysis: Analysis) -> list[str]:
             if gain.ratio is not None and np.isfinite(gain.ratio.value):
                 change = Estimate(*(100 * (ratio - 1) for ratio in gain.ratio))
                 lines.append(
-                    f"{gain.arm}: {format_estimate(change, '{:+z.0f}')} % distance after {count} "
-                    f"generations against {config.reference_of(gain.arm)} ({_count_runs(gain.runs)})."
+                    f"{gain.arm}: {format_estimate(change, '{:+z.0f}')} % distance after "
+                    f"{_count(count, 'generation')} against {config.reference_of(gain.arm)} "
+                    f"({_count(gain.runs, 'run')})."
                 )
-            if gain.a12 is not None and gain.reference_generations is not None:
+            needed_generations = gain.reference_generations
+            if gain.a12 is None or needed_generations is None:
+                continue
+            if not np.isnan(needed_generations.value):
                 needed = "fewer than half of the runs reached"
-                if np.isfinite(gain.reference_generations.value):
-                    number = _count_generations(gain.reference_generations)
+                if np.isfinite(needed_generations.value):
+                    number = _count_generations(needed_generations)
                     needed = f"the median run needed {number} to reach"
                 lines.append(
                     f"{config.reference_of(gain.arm)}: {needed} the median distance of {gain.arm} after "
-                    f"{count} generations."
+                    f"{_count(count, 'generation')}."
                 )
     lines += [
         f"{trend.name}: when the number of genes doubles ({trend.genes[0]} to {trend.genes[-1]} genes), "
@@ -228,7 +232,7 @@ def _summarize_times(config: StudyConfig, threshold: Threshold, row: Times) -> s
     level = _mm(row.threshold_m)
     if threshold.fixed_m is None:
         level = f"{threshold} ({level})"
-    line = f"{row.arm}: {row.reached} of {_count_runs(row.runs)} reached {level}"
+    line = f"{row.arm}: {row.reached} of {_count(row.runs, 'run')} reached {level}"
     if has_longer_runs:
         line += f" within {config.budget_s:,.0f} simulated seconds"
     if row.median_generations is not None:
@@ -268,13 +272,15 @@ def format_acceleration(threshold: Threshold, times: Times) -> str:
     estimate = times.acceleration
     if estimate is None or estimate.value != 0:
         return format_estimate(estimate)
-    bound = threshold.generations / max(times.completed, 1)
+    if times.completed == 0:
+        return "unknown"
+    bound = threshold.generations / times.completed
     return f"< {bound:.2f}" + (f" (up to {estimate.high:.2f})" if estimate.high > bound else "")
 
 
-def _count_runs(number: int) -> str:
-    """Return a number of runs with its unit, such as `1 run` or `2 runs`."""
-    return f"{number} run" if number == 1 else f"{number} runs"
+def _count(number: int, unit: str) -> str:
+    """Return a number with its unit, such as `1 run` or `2 runs`."""
+    return f"{number} {unit}" if number == 1 else f"{number} {unit}s"
 
 
 def _count_generations(number: Estimate) -> str:

@@ -24,7 +24,7 @@ from evolution.run.database import lock
 from evolution.run.evaluators import LocalEvaluator
 from evolution.run.journal import FILE, read_simulated_s
 from evolution.study.arms import Arm
-from evolution.study.config import Cell, StudyConfig
+from evolution.study.config import NO_LOCKS, Cell, StudyConfig
 from evolution.study.results import is_finished, read_all
 
 _POLL_S = 0.5
@@ -160,7 +160,7 @@ def run_study(
         ClusterError: the Ray cluster cannot be reached, or was lost.
         JournalError: another process is running the study.
     """
-    with lock(folder), workers:
+    with lock(folder, NO_LOCKS), workers:
         cells, known = config.cells(), read_all(config, folder)
         pool = ThreadPoolExecutor(workers.count)
         futures: dict[Future[None], Cell] = {}

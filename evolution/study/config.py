@@ -17,8 +17,10 @@ from caterpillar_env.errors import CaterpillarError, check_fields, show
 from caterpillar_env.files import read, with_digest, write_json, writing
 from caterpillar_env.task import EPISODE_S
 from evolution.config import RunConfig
+from evolution.run.database import lock
 from evolution.study.arms import Arm, EvolutionArm, make_arm
 
+NO_LOCKS = "Choose a folder on a file system with locks, with --out"  #: advice in errors of locks
 SETTINGS = "study.json"  #: name of the file with a study's configuration
 
 
@@ -220,7 +222,8 @@ def begin(config: StudyConfig, folder: Path) -> None:
     references cannot be changed, and its arms can be neither changed nor removed.
 
     Raises:
-        CaterpillarError: the folder contains other files, or a study with different settings.
+        CaterpillarError: the folder contains other files, or a study with different settings, or another
+            process is running this study.
     """
     file = folder / SETTINGS
     if file.exists():
@@ -249,7 +252,8 @@ def begin(config: StudyConfig, folder: Path) -> None:
             raise CaterpillarError(
                 f"{folder} is not empty and contains no study; choose another folder with --out"
             )
-        write_json(file, with_digest(config.to_dict()))
+        with lock(folder, NO_LOCKS):  # so that a running study does not change
+            write_json(file, with_digest(config.to_dict()))
 
 
 def load(folder: Path) -> StudyConfig:

@@ -21,7 +21,7 @@ _KILO = 1000.0  # the time axes are in 1000 s
 _TIME = "simulated time (1000 s)"
 _RATIO = "ratio of expected running times\n(reference to arm)"
 _THIN: dict[str, Any] = {"alpha": 0.4, "linewidth": 0.7}  # lines of single runs
-_FEW_ARMS = 12  # with more arms, figures have neither bands nor lines of single runs
+FEW_ARMS = 12  #: with more arms, figures over time have neither bands nor lines of single runs
 _LONG_LEGEND, _LONG_LABEL = 12, 30  # entries of a legend, and characters of an entry
 _BAND: dict[str, Any] = {"alpha": 0.12, "linewidth": 0}  # quartiles
 
@@ -34,7 +34,7 @@ def draw_best(analysis: Analysis) -> Figure:
         runs = analysis.runs[arm]
         steps_mm = 1000 * np.array([run.best_at_times(analysis.grid_s) for run in runs])
         low, median, high = np.quantile(steps_mm, [0.25, 0.5, 0.75], axis=0)
-        if len(analysis.runs) <= _FEW_ARMS:
+        if _has_few_arms(analysis):
             axis.step(time, steps_mm.T, where="post", color=colour, **_THIN)
             axis.fill_between(time, low, high, step="post", color=colour, **_BAND)
         axis.step(time, median, where="post", color=colour, linewidth=2, label=f"{arm} ({len(runs)})")
@@ -62,7 +62,7 @@ def draw_generations(analysis: Analysis) -> Figure | None:
         generations = np.arange(1, most + 1)
         best_mm = 1000 * np.array([[run.best_after(n) for n in generations.tolist()] for run in runs])
         low, median, high = np.quantile(best_mm[:, :fewest], [0.25, 0.5, 0.75], axis=0)
-        if len(arms) <= _FEW_ARMS:
+        if _has_few_arms(analysis):
             axis.plot(generations, best_mm.T, color=colour, **_THIN)
             axis.fill_between(generations[:fewest], low, high, color=colour, **_BAND)
         label = f"{arm} ({len(runs)})"
@@ -99,7 +99,7 @@ def draw_survival(analysis: Analysis) -> Figure | None:
                 for values in (curve.share, curve.low, curve.high)
             )
             axis.step(time, share, where="post", color=colour, label=arm)
-            if len(analysis.runs) <= _FEW_ARMS:
+            if _has_few_arms(analysis):
                 axis.fill_between(time, low, high, step="post", color=colour, alpha=0.08)
             censored = ends[~reached] / _KILO
             rows = np.searchsorted(time, censored, side="right") - 1
@@ -125,7 +125,7 @@ def draw_speed_ups(analysis: Analysis) -> Figure | None:
     for arm, rows in analysis.speed_ups.items():
         levels_mm = 1000 * np.array([level_m for level_m, _ in rows])
         value, low, high = np.array([estimate for _, estimate in rows]).T
-        if len(analysis.speed_ups) <= _FEW_ARMS:
+        if _has_few_arms(analysis):
             axis.fill_between(levels_mm, _bound(low), _bound(high), color=colours[arm], **_BAND)
         _plot_ratios(axis, levels_mm, value, colours[arm], label=arm, line="-")
     _finish_ratios(axis)
@@ -166,7 +166,13 @@ def _plot_ratios(axis: Axes, x: Array, ratios: Array, colour: Any, *, label: str
     """Plot ratios, with triangles for those that are 0 or infinite."""
     inside = np.isfinite(ratios) & (ratios > 0)
     axis.plot(
-        x[inside], ratios[inside], linestyle=line, marker="o", markersize=4, color=colour, label=label
+        x[inside],
+        _bound(ratios[inside]),
+        linestyle=line,
+        marker="o",
+        markersize=4,
+        color=colour,
+        label=label,
     )
     for beyond, marker in ((np.isposinf(ratios), "^"), (ratios == 0, "v")):
         axis.plot(x[beyond], _bound(ratios[beyond]), marker, color=colour, markersize=6)
@@ -202,6 +208,10 @@ def _new_figure(ylabel: str) -> tuple[Figure, Axes]:
     axis.set(xlabel=_TIME, ylabel=ylabel)
     axis.grid(alpha=0.3)
     return figure, axis
+
+
+def _has_few_arms(analysis: Analysis) -> bool:
+    return len(analysis.runs) <= FEW_ARMS
 
 
 def _colours(analysis: Analysis) -> dict[str, Any]:

@@ -31,10 +31,10 @@ _CAPTIONS = {
     "speed-up": "Ratio of expected running times, reference to arm, by the distance to reach. Above 1, "
     "the arm is faster. Bands: 95 % intervals. The last distance is the upper quartile of the "
     "reference's runs. Triangles: no run of the reference (up) or of the arm (down) reached that "
-    "distance. Values beyond the axis are drawn at its ends.",
+    "distance. Values below 0.01 or above 100 are drawn there.",
     "genes": "Effects of priors by the number of genes, with 95 % intervals. Above 1, the arm with the "
-    "prior is better. An arm and its reference have the same robot. Triangles: no run of the reference "
-    "(up) or of the arm (down) reached the threshold.",
+    "prior is better. An arm and its reference have the same robot. Triangles: the reference (up) or "
+    "the arm (down) has no distance, or no run that reached the threshold.",
     "targets": "Share of (run, target) pairs in which the run has reached the target. The 50 targets "
     "are 2 to 100 % of the best distance of any run.",
 }
@@ -71,7 +71,7 @@ def write(analysis: Analysis, retest: Retest, folder: Path) -> Path:
     text = render(
         "study.html", filters, name=name_of(folder), analysis=analysis, config=analysis.config,
         retest=retest, fewest=min(len(analysis.runs.get(arm, [])) for arm in analysis.config.arms),
-        sentences=summarize(analysis), figures=shown,
+        sentences=summarize(analysis), figures=shown, few_arms=figures.FEW_ARMS,
         version=version("caterpillar-sma"),
     )  # fmt: skip
     write_bytes(page, text.encode(), COPY)

@@ -33,7 +33,8 @@ class Threshold(NamedTuple):
     def __str__(self) -> str:
         if self.fixed_m is not None:
             return f"{1000 * self.fixed_m:.0f} mm"
-        return f"the reference's distance after {self.generations} generations"
+        unit = "generation" if self.generations == 1 else "generations"
+        return f"the reference's distance after {self.generations} {unit}"
 
     def find(self, reference: Sequence[Run]) -> Callable[[Rows], float]:
         """Return a function that computes the threshold (m) from indices of the reference's runs.

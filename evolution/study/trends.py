@@ -36,9 +36,7 @@ class Trend(NamedTuple):
 
     name: str  #: optimizer, prior and timing of the arms, and the kind of the trend
     genes: tuple[int, ...]  #: number of genes of each robot, ascending
-    distances: tuple[
-        Estimate, ...
-    ]  #: ratio of the median best distances at the budget, arm to reference
+    distances: tuple[Estimate, ...]  #: ratio of the median distances at the budget, arm to reference
     speed_ups: tuple[Estimate, ...]  #: ratio of ERTs to the threshold, reference to arm
     distance_per_doubling: Estimate  #: factor of the first ratio if the number of genes doubles
     speed_up_per_doubling: Estimate  #: the same factor of the second ratio
@@ -52,6 +50,8 @@ class _Pair(NamedTuple):
     genes: int
     runs: list[Run]
     reference: list[Run]
+    distance: Estimate
+    speed_up: Estimate
 
 
 def find_trends(config: StudyConfig, runs: Runs, threshold: Threshold) -> list[Trend]:
@@ -75,7 +75,11 @@ def find_trends(config: StudyConfig, runs: Runs, threshold: Threshold) -> list[T
         run = arm.config
         if reference and _without_prior(run) == _without_prior(base.config):
             search = f"{run.optimizer}, prior {run.prior}, timing {run.timing}"
-            pair = _Pair(run, len(run.encoding.genes), group, reference)
+            distance = statistics.bootstrap(
+                _distance_function(group, reference, config.budget_s), indices(group), indices(reference)
+            )
+            speed_up = estimate_speed_up(threshold, group, reference, budget_s=config.budget_s)
+            pair = _Pair(run, len(run.encoding.genes), group, reference, distance, speed_up)
             searches.setdefault(search, []).append(pair)
     trends = []
     for search, pairs in searches.items():
@@ -108,22 +112,22 @@ def _group(pairs: Sequence[_Pair], key: Callable[[_Pair], Hashable]) -> dict[Has
 
 def _fit(name: str, groups: list[list[_Pair]], threshold: Threshold, budget_s: float) -> Trend:
     pairs = [pair for group in groups for pair in group]
-    distances = [_distance_function(pair, budget_s) for pair in pairs]
+    x = np.concatenate([_center(np.log2([pair.genes for pair in group])) for group in groups])
+    rows = [indices(runs) for pair in pairs for runs in (pair.runs, pair.reference)]
+    distances = [_distance_function(pair.runs, pair.reference, budget_s) for pair in pairs]
     speed_ups = [
         speed_up_function(threshold, pair.runs, pair.reference, budget_s=budget_s) for pair in pairs
     ]
-    x = np.concatenate([_center(np.log2([pair.genes for pair in group])) for group in groups])
-    order = np.argsort([pair.genes for pair in pairs], kind="stable").tolist()
+    defining = [threshold.count_defining(pair.reference) for pair in pairs]
+    fewest = min((count for count in defining if count is not None), default=None)
+    ordered = sorted(pairs, key=lambda pair: pair.genes)
     return Trend(
         name=name,
-        genes=tuple(pairs[i].genes for i in order),
-        distances=tuple(_estimate(distances[i], [pairs[i]]) for i in order),
-        speed_ups=tuple(
-            estimate_speed_up(threshold, pairs[i].runs, pairs[i].reference, budget_s=budget_s)
-            for i in order
-        ),
-        distance_per_doubling=_estimate(_slope(x, distances), pairs),
-        speed_up_per_doubling=_estimate(_slope(x, speed_ups), pairs),
+        genes=tuple(pair.genes for pair in ordered),
+        distances=tuple(pair.distance for pair in ordered),
+        speed_ups=tuple(pair.speed_up for pair in ordered),
+        distance_per_doubling=statistics.bootstrap(_slope(x, distances), *rows),
+        speed_up_per_doubling=statistics.bootstrap(_slope(x, speed_ups), *rows, defined_by=fewest),
         groups=len(groups),
     )
 
@@ -133,16 +137,9 @@ def _center(values: Array) -> Array:
     return centered
 
 
-def _estimate(statistic: Callable[..., float], pairs: Sequence[_Pair]) -> Estimate:
-    groups = [indices(group) for pair in pairs for group in (pair.runs, pair.reference)]
-    return statistics.bootstrap(statistic, *groups)
-
-
-def _distance_function(pair: _Pair, budget_s: float) -> _Ratio:
-    """Return a function that computes the ratio of the median best distances, arm to reference."""
-    best_m, base_m = (
-        np.array([run.best_at(budget_s) for run in group]) for group in (pair.runs, pair.reference)
-    )
+def _distance_function(runs: list[Run], reference: list[Run], budget_s: float) -> _Ratio:
+    """Return a function that computes the ratio of the median distances, arm to reference."""
+    best_m, base_m = (np.array([run.best_at(budget_s) for run in group]) for group in (runs, reference))
 
     def ratio(rows: Rows, base: Rows) -> float:
         median_m, reference_m = float(np.median(best_m[rows])), float(np.median(base_m[base]))

@@ -151,7 +151,8 @@ def _row(rows: dict[_Key, _Row], key: _Key) -> _Row:
 
 
 def _is_complete(row: _Row) -> bool:
-    return "gait" in row and CONDITIONS.keys() <= row["references"].keys()
+    measured = "gait" in row and (row["gait"] is None or row["gait"].keys() >= set(Gait._fields))
+    return measured and CONDITIONS.keys() <= row["references"].keys()
 
 
 def _retest_best(config: StudyConfig, folder: Path, run: Run, row: _Row) -> bool:
@@ -275,7 +276,7 @@ def _check_rows(data: Any) -> list[_Row]:
                 _are_numbers(end, "distance_m") and isinstance(end["failure"], str)
                 for end in row["references"].values()
             )
-            and (row.get("gait") is None or _are_numbers(row["gait"], *Gait._fields))
+            and (row.get("gait") is None or _are_numbers(row["gait"], *row["gait"]))
             for row in data
         )
     except (TypeError, LookupError, AttributeError):

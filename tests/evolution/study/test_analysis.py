@@ -166,8 +166,17 @@ def test_reference_needs_more_generations_for_the_distance_of_the_arm(few_draws)
     assert last.value == np.inf  # 120 mm
     assert (
         "ga-uniform: the median run needed 2 (2 to 2) generations to reach the median distance of "
-        "ga-preprocessed after 1 generations." in summarize(found)
+        "ga-preprocessed after 1 generation." in summarize(found)
     )
+
+
+def test_arm_that_does_not_move_is_not_compared_by_generations(few_draws):
+    table = polars.concat(
+        [runs("ga-uniform", [ramp(0.0, 0.01)] * 5), runs("ga-preprocessed", [[0.0] * 10] * 5)]
+    )
+    found = analyse(with_own_thresholds(seeds=[0, 1, 2, 3, 4]), Results(table, []))
+    assert np.isnan(found.gains[2][1].reference_generations.value)
+    assert not any("the median distance of ga-preprocessed" in line for line in summarize(found))
 
 
 THRESHOLD = Threshold(generations=2)

@@ -89,7 +89,7 @@ def test_speed_ups_of_a_prior_are_drawn_over_the_number_of_genes():
     pooled = trend._replace(name="all genomes", groups=2)
     distances, speed_ups = figures.draw_genes(replace(STUDY, trends=[trend, pooled])).axes
     assert speed_ups.lines[0].get_xdata().tolist() == [20, 36]
-    assert speed_ups.lines[0].get_ydata().tolist() == [2.0, 1600.0]
+    assert speed_ups.lines[0].get_ydata().tolist() == [2.0, 100.0]  # 1,600 is clipped
     assert distances.lines[0].get_ydata().tolist() == [2.0, 2.0]
     assert all(line.get_label() != "all genomes" for line in distances.lines)
     assert figures.draw_genes(STUDY) is None
@@ -164,6 +164,19 @@ def test_page_says_that_all_robots_failed(tmp_path):
     retest = Retest([], [Comparison("ga-uniform", "friction 0.4", 2, 2, nan, nan, nan, 0.0)], [])
     page = report.write(replace(STUDY, runs={}), retest, tmp_path).read_text("utf-8")
     assert "<td>2<td>2<td>unknown<td>unknown to unknown<td>0.0</tr>" in page
+
+
+@pytest.mark.parametrize("count", [12, 13])
+def test_figures_of_many_arms_have_a_legend_below_and_no_bands(count):
+    runs = {f"arm{number}": STUDY.runs["ga-uniform"] for number in range(count)}
+    figure = figures.draw_best(replace(STUDY, runs=runs, times={}))
+    (axis,), (legend,) = figure.axes, figure.legends
+    assert len(legend.get_texts()) == count
+    assert len(axis.collections) == (count if count == 12 else 0)
+    assert len(axis.lines) == (3 * count if count == 12 else count)
+    figure.draw_without_rendering()
+    is_below = legend.get_window_extent().y1 < axis.get_window_extent().y0
+    assert is_below == (count == 13)
 
 
 @pytest.mark.parametrize("count", [10, 20, 36])

@@ -1,5 +1,7 @@
 """Speed-ups of artificial robots with different numbers of genes follow a known power of the number."""
 
+from dataclasses import replace
+
 import numpy as np
 import polars
 import pytest
@@ -90,6 +92,19 @@ def test_trends_have_an_intercept_for_each_kind_of_genome_or_robot(few_draws):
     # From "shared" to "full", the ratio also doubles because of the kind of the genome.
     low, high = (1 + 1 / np.log2(ratio) for ratio in (64 / 36, 32 / 20))
     assert 2**low < trends["same robots"].distance_per_doubling.value < 2**high
+
+
+def test_trend_of_thresholds_of_few_runs_has_no_interval(few_draws):
+    evaluations = {"4-uniform": 20, "4-body": 10, "8-uniform": 40, "8-body": 10}
+    fixed = compare(evaluations)
+    config = replace(fixed.config, thresholds_m=(), generations=(10,))
+    table = polars.concat([course(arm, count) for arm, count in evaluations.items()])
+    is_late = (polars.col("arm") == "8-uniform") & (polars.col("generation") == 9)
+    few = table.filter(~(is_late & (polars.col("seed") == 0)))
+    for rows, has_interval in ((table, True), (few, False)):
+        (trend,) = analyse(config, Results(rows, [])).trends
+        assert np.isfinite(trend.speed_up_per_doubling.low) == has_interval
+        assert np.isfinite(trend.distance_per_doubling.low)
 
 
 def test_trend_is_known_while_an_arm_lacks_runs(few_draws):

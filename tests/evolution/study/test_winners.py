@@ -177,6 +177,16 @@ def test_best_robot_of_every_run_is_simulated_under_the_conditions(compare, tmp_
     assert (winner.seed, winner.reference_m) == (2, ends[2].distance_m[0])
 
 
+def test_gaits_of_earlier_versions_are_measured_again(compare, tmp_path):
+    Cell("a", 0).folder(tmp_path).mkdir(parents=True)
+    before = compare({0: 0.2}).crawling
+    file = tmp_path / "winners" / "winners.json"
+    (row,) = json.loads(file.read_text("utf-8"))
+    del row["gait"]["airborne"]
+    file.write_text(json.dumps([row]))
+    assert compare({0: 0.2}).crawling == before
+
+
 def test_every_condition_is_a_change_of_the_physics():
     for name, changes in CONDITIONS.items():
         assert wave_robot().with_physics(**changes).physics != wave_robot().physics, name
@@ -281,7 +291,8 @@ def analysis():
 END = {"distance_m": 0.1, "failure": "ok"}
 ROW = {"arm": "a", "seed": 0, "recorded_m": 0.1, "references": {"0.25 ms": END}}
 DAMAGED = [
-    ROW | {"recorded_m": "far"}, ROW | {"references": {"0.25 ms": 3}}, ROW | {"gait": {}},
+    ROW | {"recorded_m": "far"}, ROW | {"references": {"0.25 ms": 3}}, ROW | {"gait": 3},
+    ROW | {"gait": {"slip": "far"}},
     ROW | {"references": {"0.25 ms": END | {"distance_m": "far"}}},
 ]  # fmt: skip
 TEXTS = [
