@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -116,82 +116,86 @@ def retest_winners(analysis: Analysis, folder: Path, *, every_run: bool = False)
             Gaits of policies are not measured. By default, only the best robot of each arm is simulated,
             at the reference timestep.
     """
-    file = folder / "winners" / "winners.json"
+    config, file = analysis.config, folder / "winners" / "winners.json"
     known = read(file, _check_rows, _AGAIN) if file.exists() else []
     rows: dict[_Key, _Row] = {(row["arm"], row["seed"], row["recorded_m"]): row for row in known}
+    conditions = {FINE: {"timestep_s": REFERENCE_TIMESTEP_S}} | (CONDITIONS if every_run else {})
     retest = Retest([], [], [])
     for arm, runs in analysis.runs.items():
         found = {
-            (arm, run.seed, best_m): run
-            for run in runs
-            if (best_m := run.best_at(analysis.config.budget_s)) > 0
+            (arm, run.seed, best_m): run for run in runs if (best_m := run.best_at(config.budget_s)) > 0
         }
         if not found:
             continue
         best = max(found, key=lambda key: key[2])
-        changed = _retest_best(analysis.config, folder, found[best], _row(rows, best))
-        if every_run:
-            changed |= _retest_all(
-                analysis.config, folder, {key: _row(rows, key) for key in found}, found
-            )
-        if changed:
-            write_json(file, [row for row in rows.values() if row["references"]])
-        if end := rows[best]["references"].get(FINE):
+        outdated = [key for key in rows if key[0] == arm and key not in found]
+        for key in outdated:
+            del rows[key]
+        chosen = found if every_run else {best: found[best]}
+        robots = _retest(config, folder, chosen, rows, conditions, measure=every_run)
+        _save_best(config, folder, best, found[best], robots)
+        if robots or outdated:
+            write_json(file, list(rows.values()))
+        if end := rows.get(best, {"references": {}})["references"].get(FINE):
             retest.winners.append(Winner(*best, end["distance_m"], end["failure"]))
-        complete = [rows[key] for key in found if key in rows and _is_complete(rows[key])]
+        complete = [rows[key] for key in found if key in rows and _is_complete(rows[key], CONDITIONS)]
         retest.comparisons.extend(_compare(arm, complete))
         retest.crawling.extend(_measure(arm, complete))
     return retest
 
 
-def _row(rows: dict[_Key, _Row], key: _Key) -> _Row:
-    """Return the row of a robot, and add it if it is missing."""
-    new = {"arm": key[0], "seed": key[1], "recorded_m": key[2], "references": {}}
-    return rows.setdefault(key, new)
-
-
-def _is_complete(row: _Row) -> bool:
+def _is_complete(row: _Row, conditions: Mapping[str, Any], *, measure: bool = True) -> bool:
     measured = "gait" in row and (row["gait"] is None or row["gait"].keys() >= set(Gait._fields))
-    return measured and CONDITIONS.keys() <= row["references"].keys()
+    return (measured or not measure) and conditions.keys() <= row["references"].keys()
 
 
-def _retest_best(config: StudyConfig, folder: Path, run: Run, row: _Row) -> bool:
-    """Simulate the best robot of an arm at the reference timestep; return whether the row changed."""
-    path, known = folder / "winners" / f"{row['arm']}.json", FINE in row["references"]
-    if known and _load_saved(config.arms[row["arm"]], path, row["recorded_m"]) is not None:
-        return False
-    robot = load_winner(config, folder, row["arm"], run)
-    if robot is None:
-        return False
-    path.parent.mkdir(exist_ok=True)
-    robot.save(path)
-    if known:
-        return False
-    end = robot.with_physics(timestep_s=REFERENCE_TIMESTEP_S).simulate()
-    row["references"][FINE] = _describe(end.distance_m[0], end.failure[0])
-    return True
+def _retest(
+    config: StudyConfig, folder: Path, runs: dict[_Key, Run], rows: dict[_Key, _Row],
+    conditions: Mapping[str, dict[str, Any]], *, measure: bool,
+) -> dict[_Key, AnyRobot]:  # fmt: skip
+    """Simulate the best robots of runs under the conditions that their rows lack.
 
+    Args:
+        config: the study.
+        folder: folder of the study.
+        runs: runs of one arm, by the keys of their best robots.
+        rows: results so far, to which the new ones are added.
+        conditions: changes to the physics by name.
+        measure: whether to measure gaits, and to save the robots.
 
-def _retest_all(
-    config: StudyConfig, folder: Path, rows: dict[_Key, _Row], runs: dict[_Key, Run]
-) -> bool:
-    """Simulate robots under the `CONDITIONS` that their rows lack; return whether a row changed."""
+    Returns:
+        The robots with new results.
+    """
     robots: dict[_Key, AnyRobot] = {}
-    for key, row in rows.items():
-        if _is_complete(row):
+    for key, run in runs.items():
+        if key in rows and _is_complete(rows[key], conditions, measure=measure):
             continue
-        robot = load_winner(config, folder, key[0], runs[key])
+        robot = load_winner(config, folder, key[0], run)
         if robot is not None:
             robots[key] = robot
-            save_winner(robot, folder, Cell(key[0], key[1]))
-    for name, changes in CONDITIONS.items():
+            new = {"arm": key[0], "seed": key[1], "recorded_m": key[2], "references": {}}
+            rows.setdefault(key, new)
+    for name, changes in conditions.items():
         keys = [key for key in robots if name not in rows[key]["references"]]
         ends = _simulate([robots[key] for key in keys], changes)
         for key, (distance_m, failure) in zip(keys, ends, strict=True):
             rows[key]["references"][name] = _describe(distance_m, failure)
-    for key, robot in robots.items():
+    for key, robot in robots.items() if measure else ():
+        save_winner(robot, folder, Cell(key[0], key[1]))
         rows[key]["gait"] = measure_gait(robot)._asdict() if isinstance(robot, Robot) else None
-    return bool(robots)
+    return robots
+
+
+def _save_best(
+    config: StudyConfig, folder: Path, best: _Key, run: Run, robots: Mapping[_Key, AnyRobot]
+) -> None:
+    """Save the best robot of an arm, unless it is saved already or cannot be recreated."""
+    path = folder / "winners" / f"{best[0]}.json"
+    if _load_saved(config.arms[best[0]], path, best[2]) is None:
+        robot = robots.get(best) or load_winner(config, folder, best[0], run)
+        if robot is not None:
+            path.parent.mkdir(exist_ok=True)
+            robot.save(path)
 
 
 def _simulate(robots: Sequence[AnyRobot], changes: dict[str, Any]) -> list[tuple[float, int]]:

@@ -187,6 +187,15 @@ def test_gaits_of_earlier_versions_are_measured_again(compare, tmp_path):
     assert compare({0: 0.2}).crawling == before
 
 
+def test_results_of_robots_that_are_no_longer_the_best_are_removed(compare, tmp_path):
+    for seed in (0, 1):
+        Cell("a", seed).folder(tmp_path).mkdir(parents=True)
+    for best_m in ({0: 0.2, 1: 0.3}, {0: 0.25, 1: 0.3}):
+        compare(best_m)
+        rows = json.loads((tmp_path / "winners" / "winners.json").read_text("utf-8"))
+        assert {row["seed"]: row["recorded_m"] for row in rows} == best_m
+
+
 def test_every_condition_is_a_change_of_the_physics():
     for name, changes in CONDITIONS.items():
         assert wave_robot().with_physics(**changes).physics != wave_robot().physics, name
