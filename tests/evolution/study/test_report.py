@@ -189,4 +189,4 @@ def test_every_arm_has_its_own_colour(count):
 def test_page_names_a_threshold_that_the_reference_does_not_define(tmp_path):
     unknown = {Threshold(generations=9): [TIMES._replace(threshold_m=np.nan)]}
     page = report.write(replace(STUDY, times=unknown, runs={}), Retest([], [], []), tmp_path)
-    assert "<td>ga-uniform<td>unknown<td>" in page.read_text("utf-8")
+    assert "<td>ga-uniform<td>unknown</tr>" in page.read_text("utf-8")
