@@ -331,6 +331,18 @@ def test_a_run_can_be_made_longer_but_not_shorter(tmp_path, invented):
         resume(tmp_path / "short", budget_s=30)
 
 
+def test_budget_of_an_unfinished_run_may_be_reduced_to_what_is_left(tmp_path, invented):
+    def stop(generation):
+        raise KeyboardInterrupt
+
+    config = replace(TINY, generations=9, budget_s=9000.0)
+    run = evolve(config, tmp_path, evaluator=invented, on_generation=stop)
+    assert not run.finished
+    run = resume(tmp_path, budget_s=run.simulated_s + 1, evaluator=invented)
+    assert run.finished
+    assert len(run.generations) == 2
+
+
 def test_every_chunk_is_recorded_with_its_own_genomes(tmp_path, monkeypatch, invented):
     monkeypatch.setattr("evolution.run.evaluators.CHUNK", 2)
     proposed = CONFIG.make_optimizer().ask()

@@ -96,6 +96,10 @@ def test_a_study_is_run_by_one_process_at_a_time(tmp_path):
     with lock(tmp_path), pytest.raises(JournalError, match="another process is working on"):
         run_study(config, tmp_path, Processes(1))
     assert not (tmp_path / "cells").exists()
+    longer = StudyConfig.from_dict(changed(seeds=[0, 1, 2]))
+    with lock(tmp_path), pytest.raises(JournalError, match="another process is working on"):
+        begin(longer, tmp_path)
+    assert load(tmp_path) == config
 
 
 def test_progress_of_a_run_is_read_from_its_journal(finished):

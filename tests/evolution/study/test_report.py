@@ -144,6 +144,14 @@ def test_page_shows_a_bound_if_the_median_run_misses_the_threshold(tmp_path):
     assert "<td>&lt; 0.96 (up to 1.25)<td>" in page  # 50 / 52
 
 
+def test_page_counts_the_longer_runs_of_its_seeds(tmp_path):
+    config = StudyConfig.from_dict(CONFIG.to_dict() | {"long_seeds": [1, 999], "long_budget_s": 1e6})
+    assert 1 in config.seeds
+    assert 999 not in config.seeds
+    page = report.write(replace(STUDY, config=config, runs={}), Retest([], [], []), tmp_path)
+    assert "1 run of ga-uniform: 1,000,000 simulated seconds" in page.read_text("utf-8")
+
+
 def test_page_does_not_derive_given_thresholds_from_the_reference(tmp_path):
     config = replace(CONFIG, thresholds_m=(0.05,))
     page = report.write(replace(STUDY, config=config, runs={}), Retest([], [], []), tmp_path)
