@@ -302,7 +302,7 @@ def test_runs_without_an_evaluation_within_the_budget_reach_nothing(few_draws):
 def test_log_rank_test_keeps_its_level_with_the_median_of_the_reference(monkeypatch):
     monkeypatch.setattr(statistics, "PERMUTATIONS", 199)
     rng, rejected, trials = np.random.default_rng(4), 0, 400
-    config = with_own_thresholds(budget_s=500, generations=[10])
+    config = with_own_thresholds(budget_s=500, generations=[10], seeds=[0, 1, 2, 3, 4, 5])
     for _ in range(trials):
         # Two arms of six runs with equal distributions. Each run crawls at its own speed for 50 steps.
         frames = [
