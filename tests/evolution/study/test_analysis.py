@@ -236,12 +236,14 @@ def test_threshold_of_few_runs_gives_no_interval_and_no_p_value(few_draws, defin
     uniform = [ramp(0.001 * seed, 0.01, n) for seed, n in enumerate(count)]
     fast = [ramp(0.01 + 0.001 * seed, 0.02) for seed in range(6)]
     table = polars.concat([runs("ga-uniform", uniform), runs("ga-preprocessed", fast)])
-    row = analyse(config, Results(table, [])).times[THRESHOLD][1]
+    found = analyse(config, Results(table, []))
+    row = found.times[THRESHOLD][1]
     assert row.defined_by == defining
     assert row.speed_up.value > 1
     has_interval = [np.isfinite(e.low) for e in (row.acceleration, row.running_time_s, row.speed_up)]
     assert has_interval == [defining == 5] * 3
     assert (row.log_rank_p is not None) == (defining == 5)
+    assert ("from only 4 runs)" in "".join(summarize(found))) == (defining == 4)
 
 
 def with_own_thresholds(**fields):
