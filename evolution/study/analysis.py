@@ -230,11 +230,10 @@ def _summarize_times(config: StudyConfig, threshold: Threshold, row: Times) -> s
     if np.isnan(row.threshold_m):
         return f"{row.arm}: {threshold} is 0 or not known yet."
     level = _mm(row.threshold_m)
-    if threshold.fixed_m is None:
-        level = f"{threshold} ({level}"
-        if row.defined_by is not None and row.defined_by < statistics.FEWEST:
+    if row.defined_by is not None:
+        if row.defined_by < statistics.FEWEST:
             level += f", from only {_count(row.defined_by, 'run')}"
-        level += ")"
+        level = f"{threshold} ({level})"
     line = f"{row.arm}: {row.reached} of {_count(row.runs, 'run')} reached {level}"
     if has_longer_runs:
         line += f" within {config.budget_s:,.0f} simulated seconds"

@@ -188,10 +188,10 @@ def _log_rank(
 
     It is None if too few runs define the threshold.
     """
-    defined_by = threshold.count_defining(reference)
-    if defined_by is not None and (defined_by < statistics.FEWEST or np.isnan(threshold.of(reference))):
-        return None
     both, known_m = [*runs, *reference], threshold.of(reference)
+    defined_by = threshold.count_defining(reference)
+    if defined_by is not None and (defined_by < statistics.FEWEST or np.isnan(known_m)):
+        return None
     find, level = cache(partial(arrivals, both, budget_s=budget_s)), threshold.find(both)
     is_fixed = np.isnan([run.best_after(threshold.generations) for run in both]).any()
 
